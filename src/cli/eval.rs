@@ -1,0 +1,94 @@
+//! `relcov eval`.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use clap::{Args, ValueEnum};
+
+use super::progress::{Progress, note};
+use super::{Overrides, RunPath, Terminal, print_result};
+use crate::data::{Dataset, PairReader, SplitName};
+use crate::device::{device_name, open_device};
+use crate::error::Error;
+use crate::evaluation::{evaluate_run, predict_split, write_results};
+use crate::report::mde_table;
+use crate::training::RunFolder;
+
+/// Arguments of `relcov eval`.
+#[derive(Args)]
+#[command(after_help = "Examples:
+  relcov eval --run checkpoints/kitti_sample
+  relcov eval --run checkpoints/kitti_sample --set depth.source=lidar
+  relcov eval --run checkpoints/kitti --split validation --device wgpu")]
+pub struct EvalArguments {
+    /// Run folder of a trained model
+    #[arg(long, value_name = "RUN")]
+    run: RunPath,
+    /// Evaluate on the data of another configuration
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Which pairs
+    #[arg(long, value_enum, default_value = "test")]
+    split: SplitArgument,
+    #[command(flatten)]
+    overrides: Overrides,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum SplitArgument {
+    Train,
+    Validation,
+    Test,
+}
+
+pub fn run(arguments: EvalArguments, terminal: &Terminal) -> anyhow::Result<()> {
+    let split = match arguments.split {
+        SplitArgument::Train => SplitName::Train,
+        SplitArgument::Validation => SplitName::Validation,
+        SplitArgument::Test => SplitName::Test,
+    };
+    evaluate(&arguments.run, arguments.config.as_deref(), split, &arguments.overrides, terminal)
+}
+
+/// Evaluates a run, writes its results into its folder and prints the table.
+pub fn evaluate(
+    run_path: &Path,
+    config: Option<&Path>,
+    split: SplitName,
+    overrides: &Overrides,
+    terminal: &Terminal,
+) -> anyhow::Result<()> {
+    let run = RunFolder::open(run_path)?;
+    let manifest = run.manifest()?;
+    let mut config = overrides.load(config.unwrap_or(&run.config_path()))?;
+    let (width, height) = (manifest.architecture.width, manifest.architecture.height);
+    (config.model.width, config.model.height) = (width, height);
+    if config.data.error_frame != manifest.conventions.error_frame {
+        return Err(Error::config(
+            "data.error_frame",
+            format!(
+                "`{}` is not the `{}` this model was trained for; covariances of a diagonal model cannot be compared across frames",
+                config.data.error_frame.name(),
+                manifest.conventions.error_frame.name()
+            ),
+        )
+        .into());
+    }
+    let device = open_device(&config.device)?;
+    let dataset = Dataset::load(&config)?;
+    let pairs = dataset.require(split)?;
+    let reader = Arc::new(PairReader::new(&config, &dataset));
+    let model = run.load_model(&manifest, &device)?;
+
+    let mut progress = Progress::new(terminal.quiet, "evaluating", 0, pairs.pairs.len());
+    let predictions = predict_split(&model, &reader, pairs, &config.training, &device, &mut |done| progress.set(done, "pairs"))?;
+    drop(progress);
+    let bad_frames = reader.bad_frames();
+    let evaluation = evaluate_run(&predictions, &dataset, &manifest, run_path, split, device_name(&device), &bad_frames)?;
+    write_results(run.path(), &evaluation, &predictions, &dataset)?;
+    for bad in &bad_frames {
+        note(false, &format!("left out: {} frame {}: {}", bad.drive, bad.frame, bad.problem));
+    }
+    note(terminal.quiet, &format!("wrote {} and pairs.csv beside it", run.path().join("evaluation.json").display()));
+    print_result(&mde_table(&evaluation))
+}

@@ -1,0 +1,110 @@
+//! `relcov inspect`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use comfy_table::{CellAlignment, Table, presets};
+
+use super::{Overrides, print_result};
+use crate::config::Config;
+use crate::data::{Coverage, Dataset, SplitName};
+
+/// Arguments of `relcov inspect`.
+#[derive(Args)]
+#[command(after_help = "Examples:
+  relcov inspect --config configs/kitti_sample.toml
+  relcov inspect --config configs/kitti.toml --set data.root=/data/kitti")]
+pub struct InspectArguments {
+    /// The experiment
+    #[arg(long, value_name = "FILE")]
+    config: PathBuf,
+    #[command(flatten)]
+    overrides: Overrides,
+}
+
+pub fn run(arguments: InspectArguments) -> anyhow::Result<()> {
+    let config = arguments.overrides.load(&arguments.config)?;
+    let dataset = Dataset::load(&config)?;
+    print_result(&describe(&config, &dataset))
+}
+
+fn describe(config: &Config, dataset: &Dataset) -> String {
+    let mut text = format!("data: {}\n{}\n\n", dataset.root.display(), coverage_table(dataset));
+    for name in [SplitName::Train, SplitName::Validation, SplitName::Test] {
+        text += &format!("{}\n", summary(dataset, name));
+    }
+    text += &format!(
+        "mini-batch: {} pairs = {}\n",
+        config.training.batch,
+        config.systems.iter().zip(config.pairs_per_batch()).map(|(system, pairs)| format!("{pairs} {}", system.name)).collect::<Vec<_>>().join(" + ")
+    );
+    let problems = problems(dataset);
+    if problems.is_empty() {
+        text += "problems: none\n";
+    } else {
+        text += &format!("problems: {}\n", problems.len());
+        problems.iter().for_each(|problem| text += &format!("  {problem}\n"));
+    }
+    text
+}
+
+fn coverage_table(dataset: &Dataset) -> Table {
+    let mut table = Table::new();
+    table.load_style(presets::ASCII_MARKDOWN);
+    let columns = ["split", "drive", "frames", "true poses", "images", "right", "scans", "pose pairs", "image pairs", "with depth"];
+    let measured = dataset.systems.iter().map(|system| format!("{system} measured"));
+    table.set_header(columns.map(str::to_owned).into_iter().chain(measured));
+    for coverage in &dataset.coverage {
+        let drive = &dataset.drives[coverage.drive];
+        let frames = coverage.frames.map_or("all".to_owned(), |[first, end]| format!("{first}..{end}"));
+        let counts = [
+            coverage.true_poses,
+            coverage.images,
+            drive.right_images.len(),
+            drive.scans.len(),
+            coverage.pose_pairs,
+            coverage.image_pairs,
+            coverage.depth_pairs,
+        ];
+        let cells = [coverage.split.name().to_owned(), drive.name.clone(), frames];
+        let counts = counts.iter().chain(&coverage.measured_pairs).map(usize::to_string);
+        table.add_row(cells.into_iter().chain(counts));
+    }
+    for column in table.column_iter_mut().skip(3) {
+        column.set_cell_alignment(CellAlignment::Right);
+    }
+    table
+}
+
+fn summary(dataset: &Dataset, name: SplitName) -> String {
+    let of_split: Vec<&Coverage> = dataset.coverage.iter().filter(|coverage| coverage.split == name).collect();
+    let pose_pairs: usize = of_split.iter().map(|coverage| coverage.pose_pairs).sum();
+    let split = dataset.split(name);
+    let usable: Vec<String> = dataset
+        .systems
+        .iter()
+        .zip(&split.systems)
+        .enumerate()
+        .map(|(index, (system, range))| {
+            let rms = split.mean_squared_error(index).map(f64::sqrt);
+            let rms: Vec<String> = rms.iter().map(|value| format!("{value:.1e}")).collect();
+            format!("{} {system} (RMS error {} m, rad)", range.len(), rms.join(" "))
+        })
+        .collect();
+    let origin = if of_split.is_empty() && !split.pairs.is_empty() { " (held out of the training drives)" } else { "" };
+    format!("{}: {pose_pairs} pose pairs{origin}; usable with images and depth: {}", name.name(), usable.join(", "))
+}
+
+fn problems(dataset: &Dataset) -> Vec<String> {
+    let missing = dataset.coverage.iter().flat_map(|coverage| {
+        coverage.missing_files.iter().zip(&dataset.systems).filter_map(|(path, system)| {
+            let drive = &dataset.drives[coverage.drive].name;
+            path.as_ref().map(|path| format!("{drive}: no measurements of `{system}`: {} does not exist", path.display()))
+        })
+    });
+    let unreadable = dataset.drives.iter().flat_map(|drive| drive.problems.iter().cloned());
+    let empty = dataset.coverage.iter().filter(|coverage| coverage.image_pairs == 0).map(|coverage| {
+        format!("{}: no image pairs, so none of its {} pose pairs can be used", dataset.drives[coverage.drive].name, coverage.pose_pairs)
+    });
+    missing.chain(unreadable).chain(empty).collect()
+}

@@ -1,0 +1,123 @@
+//! The command line: arguments, their meaning, progress and exit codes. The only room that prints.
+//!
+//! Results go to stdout, progress and logs to stderr. Exit codes: 0 fine, 1 failed, 2 usage, 130 interrupted.
+
+mod eval;
+mod inspect;
+mod progress;
+mod train;
+
+use std::io::IsTerminal;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Args, Parser, Subcommand};
+
+use crate::config::Config;
+use crate::device::DEVICE_NAMES;
+use crate::error::Error;
+
+/// Exit code after Ctrl-C, as shells expect it.
+const INTERRUPTED: u8 = 130;
+
+#[derive(Parser)]
+#[command(name = "relcov", version, about = "Error bars for any relative-pose measurement", long_about = None)]
+#[command(after_help = "Examples:
+  relcov inspect --config configs/kitti_sample.toml
+  relcov train --config configs/kitti_sample.toml
+  relcov eval --run checkpoints/kitti_sample")]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+    /// More messages (-v: steps, -vv: everything)
+    #[arg(short, long, action = clap::ArgAction::Count, global = true)]
+    verbose: u8,
+    /// No progress, only warnings and errors
+    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    quiet: bool,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Train a covariance model and print the MDE table of its test split
+    Train(train::TrainArguments),
+    /// Print the MDE table of a trained model; write evaluation.json and pairs.csv
+    Eval(eval::EvalArguments),
+    /// Show what a configuration finds: drives, frames, pairs, systems, depth, problems
+    Inspect(inspect::InspectArguments),
+}
+
+/// Arguments that change a configuration.
+#[derive(Args)]
+struct Overrides {
+    /// Override a configuration key (TOML value or plain text); repeatable
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    set: Vec<String>,
+    /// Where to compute [default: the configuration's, else auto]
+    #[arg(long, value_name = "DEVICE", help = format!("Where to compute: {DEVICE_NAMES}"))]
+    device: Option<String>,
+}
+
+impl Overrides {
+    fn load(&self, path: &std::path::Path) -> Result<Config, Error> {
+        let mut config = Config::load(path, &self.set)?;
+        if let Some(device) = &self.device {
+            config.device.clone_from(device);
+        }
+        Ok(config)
+    }
+}
+
+/// What every command needs to know of its surroundings.
+struct Terminal {
+    quiet: bool,
+}
+
+/// Runs the program.
+pub fn run() -> ExitCode {
+    let arguments = Arguments::parse();
+    start_log(arguments.verbose, arguments.quiet);
+    let terminal = Terminal { quiet: arguments.quiet };
+    let outcome = match arguments.command {
+        Command::Train(arguments) => train::run(arguments, &terminal),
+        Command::Eval(arguments) => eval::run(arguments, &terminal),
+        Command::Inspect(arguments) => inspect::run(arguments),
+    };
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) if matches!(error.downcast_ref(), Some(Error::Interrupted)) => ExitCode::from(INTERRUPTED),
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn start_log(verbose: u8, quiet: bool) {
+    let level = match (quiet, verbose) {
+        (true, _) => "error,relcov=warn",
+        (_, 0) => "error,relcov=warn",
+        (_, 1) => "warn,relcov=debug",
+        _ => "info,relcov=trace",
+    };
+    let colours = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty());
+    tracing_subscriber::fmt()
+        .with_env_filter(tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| level.into()))
+        .with_writer(progress::LogWriter::default)
+        .with_ansi(colours)
+        .with_target(false)
+        .without_time()
+        .init();
+}
+
+/// Writes a result to stdout; a reader that went away (`| head`) is no failure.
+fn print_result(text: &str) -> anyhow::Result<()> {
+    use std::io::Write;
+    match std::io::stdout().lock().write_all(text.as_bytes()) {
+        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error.into()),
+        _ => Ok(()),
+    }
+}
+
+/// A value parser's help for a run folder.
+type RunPath = PathBuf;

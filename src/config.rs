@@ -1,0 +1,401 @@
+//! The one TOML file that describes an experiment, with its defaults.
+//!
+//! Order of precedence: defaults < file < `RELCOV_DATA_ROOT` < `--set key=value`. Relative paths
+//! resolve against the file that holds them (those of `--set` and the environment against the
+//! current folder). Unknown keys are errors.
+
+mod overrides;
+mod validate;
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{Error, Result, read_text};
+use crate::geometry::ErrorFrame;
+use crate::model::InputBasis;
+
+/// Environment variable that overrides `data.root`.
+pub const DATA_ROOT_VARIABLE: &str = "RELCOV_DATA_ROOT";
+
+/// An experiment.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// Name of the run folder.
+    pub name: String,
+    /// Folder that holds run folders. Default: `checkpoints` in the current folder.
+    #[serde(default = "default_checkpoints")]
+    pub checkpoints: PathBuf,
+    /// Seed of weights, batches and dropout. Default: 0.
+    #[serde(default)]
+    pub seed: u64,
+    /// `auto | flex | ndarray | wgpu | vulkan | cuda[:i]`. Default: auto. `--device` overrides it.
+    #[serde(default = "default_device")]
+    pub device: String,
+    /// Where the images and true poses are.
+    pub data: DataConfig,
+    /// What counts as the true pose.
+    #[serde(default)]
+    pub truth: TruthConfig,
+    /// The systems whose measurements are learned; the first is the paper's System 1.
+    pub systems: Vec<SystemConfig>,
+    /// Where the depth of the target image comes from.
+    #[serde(default)]
+    pub depth: DepthConfig,
+    /// The covariance network.
+    #[serde(default)]
+    pub model: ModelConfig,
+    /// How it is trained.
+    #[serde(default)]
+    pub training: TrainingConfig,
+}
+
+/// Images and true poses.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DataConfig {
+    /// Folder in the KITTI raw layout: `DATE/DRIVE/{image_02,oxts,…}` and `DATE/calib_*.txt`.
+    pub root: PathBuf,
+    /// Axes of errors and covariances. Default: vehicle.
+    #[serde(default)]
+    pub error_frame: ErrorFrame,
+    /// Drives to train on.
+    pub train: Vec<DriveConfig>,
+    /// Drives to watch during training (stop rule, best checkpoint). Default: held out of `train`.
+    #[serde(default)]
+    pub validation: Vec<DriveConfig>,
+    /// Without `validation`: the share of each training drive, at its end, that is held out.
+    /// Default: 0.1.
+    #[serde(default = "default_validation_fraction")]
+    pub validation_fraction: f64,
+    /// Drives of the MDE table.
+    pub test: Vec<DriveConfig>,
+    /// Share of frames that may turn out unreadable before a run gives up. Default: 0.01.
+    #[serde(default = "default_max_bad_fraction")]
+    pub max_bad_fraction: f64,
+    /// Memory for decoded frames, MB; the cache never grows beyond it. Default: 256.
+    #[serde(default = "default_cache_mb")]
+    pub cache_mb: usize,
+}
+
+/// A drive, or a part of it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DriveConfig {
+    /// Folder name, such as `2011_09_30_drive_0034_sync`.
+    pub drive: String,
+    /// Only pairs whose source frame lies in `[first, end)`. Default: all.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frames: Option<[usize; 2]>,
+}
+
+/// The true poses.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "source", rename_all = "snake_case", deny_unknown_fields)]
+pub enum TruthConfig {
+    /// The drive's GNSS/INS packets (the paper's choice; default).
+    #[default]
+    Oxts,
+    /// A trajectory file for each drive.
+    Trajectory(TrajectoryConfig),
+}
+
+/// A system of relative-pose measurements.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SystemConfig {
+    /// Its name in tables.
+    pub name: String,
+    /// Its exact share of each mini-batch (the paper: 0.75 and 0.25).
+    pub share: f64,
+    /// Where its measurements come from.
+    #[serde(flatten)]
+    pub source: SystemSource,
+}
+
+/// Where a system's measurements come from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "source", rename_all = "snake_case", deny_unknown_fields)]
+pub enum SystemSource {
+    /// The truth itself: zero error (the paper's System 2).
+    Truth,
+    /// The drive's GNSS/INS packets; errors of their own when the truth is another.
+    Oxts,
+    /// Absolute poses in a file for each drive.
+    Trajectory(TrajectoryConfig),
+    /// Relative poses in a CSV file for each drive.
+    Relative(RelativeConfig),
+}
+
+/// A file of absolute poses for each drive.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrajectoryConfig {
+    /// Path below `data.root`, with `{drive}` (folder name without `_sync`), `{date}` or
+    /// `{sequence}` (KITTI odometry number).
+    pub path: String,
+    /// `kitti` (3x4 rows, with or without a leading frame index) or `tum`. Default: kitti.
+    #[serde(default)]
+    pub format: TrajectoryFormat,
+    /// Whose poses they are. Default: camera0.
+    #[serde(default)]
+    pub frame: MeasurementFrame,
+}
+
+/// A CSV file of relative poses for each drive.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RelativeConfig {
+    /// As for trajectories.
+    pub path: String,
+    /// Whose poses they are. Default: camera0.
+    #[serde(default)]
+    pub frame: MeasurementFrame,
+}
+
+/// Format of a trajectory file.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TrajectoryFormat {
+    /// Rows of 12 numbers (3x4, row-major), or 13 with a leading frame index.
+    #[default]
+    Kitti,
+    /// Rows of `t x y z qx qy qz qw`, t in seconds (UNIX time of the frame).
+    Tum,
+}
+
+/// The body whose motion a measurement describes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MeasurementFrame {
+    /// Rectified left grey camera: KITTI odometry, most visual odometries on KITTI.
+    #[default]
+    Camera0,
+    /// Left colour camera, the one whose images are used.
+    Camera2,
+    /// The vehicle: KITTI's IMU, x forward, y left, z up.
+    Vehicle,
+}
+
+/// Depth of the target image.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "source", rename_all = "snake_case", deny_unknown_fields)]
+pub enum DepthConfig {
+    /// A flat road below the camera and a far wall behind: needs nothing.
+    GroundPlane {
+        /// Height of the camera above the road, m. Default: KITTI's 1.65.
+        #[serde(default = "default_camera_height_m")]
+        camera_height_m: f64,
+        /// Image row of the horizon at full size, px. Default: the principal point (level camera).
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        horizon_px: Option<f64>,
+        /// Depth of everything farther, and of all above the horizon, m. Default: 80.
+        #[serde(default = "default_max_depth_m")]
+        max_depth_m: f64,
+    },
+    /// LiDAR scans projected into the image, gaps filled from the nearest return.
+    Lidar {
+        /// Farthest return that may fill a pixel, px of the network's input. Default: 12.
+        #[serde(default = "default_fill_radius_px")]
+        fill_radius_px: usize,
+    },
+    /// 16-bit PNG files, metres x 256, 0 = unknown.
+    Files {
+        /// Path below `data.root`, with `{date}`, `{drive}` and `{frame}` (ten digits).
+        path: String,
+    },
+}
+
+impl Default for DepthConfig {
+    fn default() -> Self {
+        Self::GroundPlane { camera_height_m: default_camera_height_m(), horizon_px: None, max_depth_m: default_max_depth_m() }
+    }
+}
+
+/// The covariance network.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ModelConfig {
+    /// Input width, px. Default: 512.
+    pub width: usize,
+    /// Input height, px. Default: 160.
+    pub height: usize,
+    /// `pair` (the paper) or `residual` (learns faster). Default: residual.
+    pub input: InputBasis,
+    /// Dropout after each convolution. Default: 0.5 (paper Section V-A).
+    pub dropout: f64,
+    /// Floor under predicted log-variances. Default: 12 nats below the mean.
+    pub min_log_variance: MinLogVariance,
+}
+
+impl Default for ModelConfig {
+    fn default() -> Self {
+        Self {
+            width: 512,
+            height: 160,
+            input: InputBasis::default(),
+            dropout: 0.5,
+            min_log_variance: MinLogVariance::BelowMean(12.0),
+        }
+    }
+}
+
+/// Floor under predicted log-variances. With error-free measurements in training the loss has no
+/// lower bound without one.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MinLogVariance {
+    /// No floor (the paper).
+    Off,
+    /// This many nats below the training set's ln(mean e²), for each component.
+    BelowMean(f64),
+    /// These values, ln m² and ln rad².
+    Absolute([f64; 6]),
+}
+
+/// How the network is trained.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct TrainingConfig {
+    /// Pairs in a mini-batch. Default: 84 (paper Section V-A).
+    pub batch: usize,
+    /// Pairs that are on the device at once; the gradient is that of the whole batch. Default: 12.
+    pub micro_batch: usize,
+    /// Adam's learning rate. Default: 1e-4 (paper Section V-A).
+    pub learning_rate: f64,
+    /// Most epochs. Default: 100.
+    pub epochs: usize,
+    /// Mini-batches in an epoch. Default: until the first system's pairs were seen once.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub batches_per_epoch: Option<usize>,
+    /// Which pairs the stop rule and the best checkpoint watch. Default: validation. `test` is the
+    /// paper's way, and leaks.
+    pub watch: WatchedSplit,
+    /// The system whose loss they watch. Default: the first.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub watch_system: Option<String>,
+    /// When to stop.
+    pub stop: StopConfig,
+    /// Threads that read and resize images. Default: 2.
+    pub loader_threads: usize,
+    /// Micro-batches kept ready ahead of the network. Default: 4.
+    pub prefetch: usize,
+}
+
+impl Default for TrainingConfig {
+    fn default() -> Self {
+        Self {
+            batch: 84,
+            micro_batch: 12,
+            learning_rate: 1e-4,
+            epochs: 100,
+            batches_per_epoch: None,
+            watch: WatchedSplit::default(),
+            watch_system: None,
+            stop: StopConfig::default(),
+            loader_threads: 2,
+            prefetch: 4,
+        }
+    }
+}
+
+/// The split that the stop rule and the best checkpoint watch.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum WatchedSplit {
+    /// Held-out pairs.
+    #[default]
+    Validation,
+    /// The test pairs (the paper).
+    Test,
+}
+
+/// When training and evaluation loss count as diverging; see [`crate::training::DivergenceRule`].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct StopConfig {
+    /// Whether to stop before `training.epochs` at all. Default: true.
+    pub enabled: bool,
+    /// Epochs in the moving mean of both losses. Default: 3.
+    pub smoothing: usize,
+    /// Epochs since the lowest smoothed evaluation loss. Default: 5.
+    pub window: usize,
+    /// Least rise of the smoothed evaluation loss over its lowest, nats. Default: 0.05.
+    pub tolerance: f64,
+    /// Epochs before which the rule is silent. Default: 10.
+    pub min_epochs: usize,
+}
+
+impl Default for StopConfig {
+    fn default() -> Self {
+        Self { enabled: true, smoothing: 3, window: 5, tolerance: 0.05, min_epochs: 10 }
+    }
+}
+
+fn default_checkpoints() -> PathBuf {
+    "checkpoints".into()
+}
+
+fn default_device() -> String {
+    "auto".to_owned()
+}
+
+fn default_validation_fraction() -> f64 {
+    0.1
+}
+
+fn default_max_bad_fraction() -> f64 {
+    0.01
+}
+
+fn default_cache_mb() -> usize {
+    256
+}
+
+fn default_camera_height_m() -> f64 {
+    1.65
+}
+
+fn default_max_depth_m() -> f64 {
+    80.0
+}
+
+fn default_fill_radius_px() -> usize {
+    12
+}
+
+impl Config {
+    /// Reads a configuration file and applies `key=value` overrides.
+    ///
+    /// # Errors
+    /// The file cannot be read, is not TOML, holds an unknown key or an unusable value; the message
+    /// names the line or key.
+    pub fn load(path: &Path, overrides: &[String]) -> Result<Self> {
+        let text = read_text(path)?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let data_root = std::env::var_os(DATA_ROOT_VARIABLE).map(PathBuf::from);
+        let table = overrides::merge(&text, path, folder, data_root.as_deref(), overrides)?;
+        let config = Self::deserialize(table).map_err(|error| {
+            // The text knows its lines; the merged table only its keys.
+            let error = toml::from_str::<Self>(&text).err().unwrap_or(error);
+            Error::malformed(path, crate::error::Place::Whole, error.to_string().trim_end().to_owned(), "a relcov configuration (see README.md, \"Configuration\")")
+        })?;
+        config.validate()?;
+        Ok(config)
+    }
+
+    /// Folder of this experiment's run.
+    pub fn run_folder(&self) -> PathBuf {
+        self.checkpoints.join(&self.name)
+    }
+
+    /// The whole configuration, defaults included, as TOML.
+    pub fn to_toml(&self) -> String {
+        toml::to_string_pretty(self).expect("a configuration is TOML")
+    }
+
+    /// Exact number of pairs of each system in a mini-batch.
+    pub fn pairs_per_batch(&self) -> Vec<usize> {
+        self.systems.iter().map(|system| (system.share * self.training.batch as f64).round() as usize).collect()
+    }
+}

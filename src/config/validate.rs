@@ -1,0 +1,117 @@
+//! What a configuration must satisfy beyond its types.
+
+use super::{Config, MinLogVariance};
+use crate::error::{Error, Result};
+
+impl Config {
+    /// Checks values against each other.
+    ///
+    /// # Errors
+    /// Names the key, the value found and what would do.
+    pub fn validate(&self) -> Result<()> {
+        self.validate_name()?;
+        self.validate_data()?;
+        self.validate_systems()?;
+        self.validate_model()?;
+        self.validate_training()
+    }
+
+    fn validate_name(&self) -> Result<()> {
+        let plain = !self.name.is_empty()
+            && self.name.chars().all(|c| c.is_alphanumeric() || "-_.".contains(c))
+            && !self.name.starts_with('.');
+        require(plain, "name", || format!("`{}` cannot name a folder; use letters, digits, - and _", self.name))
+    }
+
+    fn validate_data(&self) -> Result<()> {
+        let fraction = self.data.validation_fraction;
+        require((0.0..1.0).contains(&fraction), "data.validation_fraction", || format!("{fraction} is not in [0, 1)"))?;
+        let bad = self.data.max_bad_fraction;
+        require((0.0..=1.0).contains(&bad), "data.max_bad_fraction", || format!("{bad} is not in [0, 1]"))?;
+        for (split, drives) in [("train", &self.data.train), ("validation", &self.data.validation), ("test", &self.data.test)] {
+            for (index, drive) in drives.iter().enumerate() {
+                if let Some([first, end]) = drive.frames {
+                    require(first < end, &format!("data.{split}.{index}.frames"), || {
+                        format!("[{first}, {end}] holds no frame: the first must lie below the end")
+                    })?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn validate_systems(&self) -> Result<()> {
+        require(!self.systems.is_empty(), "systems", || "none is given; add [[systems]] with name, share and source".to_owned())?;
+        for (index, system) in self.systems.iter().enumerate() {
+            let key = format!("systems.{index}.share");
+            require(system.share > 0.0 && system.share <= 1.0, &key, || format!("{} is not in (0, 1]", system.share))?;
+            let twin = self.systems[..index].iter().any(|other| other.name == system.name);
+            require(!twin && !system.name.is_empty(), &format!("systems.{index}.name"), || {
+                format!("`{}` is empty or used twice; tables tell systems apart by name", system.name)
+            })?;
+        }
+        let total: f64 = self.systems.iter().map(|system| system.share).sum();
+        require((total - 1.0).abs() < 1e-9, "systems", || format!("the shares sum to {total}, not 1"))?;
+        let batch = self.training.batch;
+        for (index, system) in self.systems.iter().enumerate() {
+            let pairs = system.share * batch as f64;
+            require((pairs - pairs.round()).abs() < 1e-6 && pairs.round() >= 1.0, &format!("systems.{index}.share"), || {
+                let fits = |batch: &usize| {
+                    self.systems.iter().all(|system| {
+                        let pairs = system.share * *batch as f64;
+                        (pairs - pairs.round()).abs() < 1e-6 && pairs.round() >= 1.0
+                    })
+                };
+                let better = (1..=1000).filter(fits).min_by_key(|candidate| candidate.abs_diff(batch));
+                let advice = better.map_or(String::new(), |batch| format!("; training.batch = {batch} fits all shares"));
+                format!("{} of a batch of {batch} is {pairs} pairs, not a whole number of at least 1{advice}", system.share)
+            })?;
+        }
+        if let Some(name) = &self.training.watch_system {
+            let known = self.systems.iter().any(|system| &system.name == name);
+            require(known, "training.watch_system", || format!("`{name}` is none of the systems"))?;
+        }
+        Ok(())
+    }
+
+    fn validate_model(&self) -> Result<()> {
+        for (key, size) in [("model.width", self.model.width), ("model.height", self.model.height)] {
+            require((16..=8192).contains(&size), key, || format!("{size} is not in [16, 8192] pixels"))?;
+        }
+        let dropout = self.model.dropout;
+        require((0.0..1.0).contains(&dropout), "model.dropout", || format!("{dropout} is not in [0, 1)"))?;
+        let key = "model.min_log_variance";
+        match self.model.min_log_variance {
+            MinLogVariance::Off => Ok(()),
+            MinLogVariance::BelowMean(nats) => require(nats.is_finite() && nats > 0.0, key, || format!("below_mean = {nats} is not positive")),
+            MinLogVariance::Absolute(values) => {
+                let fine = values.iter().all(|value| value.abs() <= 80.0);
+                require(fine, key, || format!("absolute = {values:?} must lie within ±80 (ln m², ln rad²)"))
+            }
+        }
+    }
+
+    fn validate_training(&self) -> Result<()> {
+        let training = &self.training;
+        for (key, value) in [
+            ("batch", training.batch),
+            ("micro_batch", training.micro_batch),
+            ("epochs", training.epochs),
+            ("batches_per_epoch", training.batches_per_epoch.unwrap_or(1)),
+            ("loader_threads", training.loader_threads),
+            ("prefetch", training.prefetch),
+            ("stop.smoothing", training.stop.smoothing),
+            ("stop.window", training.stop.window),
+        ] {
+            require(value > 0, &format!("training.{key}"), || "must be at least 1".to_owned())?;
+        }
+        let rate = training.learning_rate;
+        require(rate.is_finite() && rate > 0.0, "training.learning_rate", || format!("{rate} is not positive"))?;
+        let tolerance = training.stop.tolerance;
+        require(tolerance.is_finite() && tolerance >= 0.0, "training.stop.tolerance", || format!("{tolerance} is negative"))
+    }
+}
+
+fn require(condition: bool, key: &str, problem: impl FnOnce() -> String) -> Result<()> {
+    if condition { Ok(()) } else { Err(Error::config(key, problem())) }
+}

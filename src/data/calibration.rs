@@ -1,0 +1,114 @@
+//! KITTI raw calibration: `calib_cam_to_cam.txt`, `calib_velo_to_cam.txt`, `calib_imu_to_velo.txt`.
+//!
+//! Only the rectified keys are needed; dates and the keys of unrectified images are passed over.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use nalgebra::{Matrix3, Vector3};
+
+use crate::config::MeasurementFrame;
+use crate::error::{Error, Place, Result, parse_numbers, read_text};
+use crate::geometry::{Pinhole, Pose};
+
+/// Largest `|RᵀR − I|` of a rotation printed with KITTI's seven digits.
+const ROTATION_TOLERANCE: f64 = 1e-4;
+
+/// Sensors of one recording day: the colour camera and where everything is relative to it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Calibration {
+    /// The left colour camera (rectified, full size).
+    pub camera2: Pinhole,
+    /// Offset of camera 2 in the rectified rig.
+    pub camera2_from_camera0: Pose,
+    /// LiDAR points into camera 2.
+    pub camera2_from_velodyne: Pose,
+    /// Vehicle (IMU) axes into camera 2.
+    pub camera2_from_vehicle: Pose,
+}
+
+impl Calibration {
+    /// Reads the three files of a date folder.
+    ///
+    /// # Errors
+    /// A file or key is missing, a line is short or not numeric, or a matrix is not a rotation.
+    pub fn load(date_folder: &Path) -> Result<Self> {
+        let cameras = KeyedLines::load(date_folder.join("calib_cam_to_cam.txt"))?;
+        let velodyne = KeyedLines::load(date_folder.join("calib_velo_to_cam.txt"))?;
+        let imu = KeyedLines::load(date_folder.join("calib_imu_to_velo.txt"))?;
+
+        let size: [f64; 2] = cameras.numbers("S_rect_02")?;
+        let projection: [f64; 12] = cameras.numbers("P_rect_02")?;
+        let [fx, skew, cx, px, _, fy, cy, py, _, _, _, pz] = projection;
+        let usable = fx > 0.0 && fy > 0.0 && skew == 0.0 && size.iter().all(|&pixels| pixels >= 2.0);
+        if !usable {
+            return Err(Error::malformed(
+                &cameras.path,
+                Place::Field("P_rect_02".to_owned()),
+                format!("fx {fx}, fy {fy}, skew {skew}, size {size:?}"),
+                "a pinhole camera without skew",
+            ));
+        }
+        // P = K [I | t]
+        let offset = Vector3::new((px - cx * pz) / fx, (py - cy * pz) / fy, pz);
+        let camera2_from_camera0 = Pose { translation: offset, ..Pose::identity() };
+        let rectification = cameras.rotation("R_rect_00", Vector3::zeros())?;
+        let camera_from_velodyne = velodyne.rotation("R", Vector3::from(velodyne.numbers::<3>("T")?))?;
+        let velodyne_from_imu = imu.rotation("R", Vector3::from(imu.numbers::<3>("T")?))?;
+        let camera2_from_velodyne = camera2_from_camera0 * rectification * camera_from_velodyne;
+        Ok(Self {
+            camera2: Pinhole { fx, fy, cx, cy, width: size[0] as usize, height: size[1] as usize },
+            camera2_from_camera0,
+            camera2_from_velodyne,
+            camera2_from_vehicle: camera2_from_velodyne * velodyne_from_imu,
+        })
+    }
+
+    /// Axes of a measurement into camera 2.
+    pub fn camera2_from(&self, frame: MeasurementFrame) -> Pose {
+        match frame {
+            MeasurementFrame::Camera0 => self.camera2_from_camera0,
+            MeasurementFrame::Camera2 => Pose::identity(),
+            MeasurementFrame::Vehicle => self.camera2_from_vehicle,
+        }
+    }
+}
+
+/// A file of `KEY: values` lines.
+struct KeyedLines {
+    path: PathBuf,
+    lines: HashMap<String, (usize, String)>,
+}
+
+impl KeyedLines {
+    fn load(path: PathBuf) -> Result<Self> {
+        let text = read_text(&path)?;
+        let lines = text
+            .lines()
+            .enumerate()
+            .filter_map(|(index, line)| line.split_once(':').map(|(key, values)| (key.trim(), index + 1, values)))
+            .map(|(key, line, values)| (key.to_owned(), (line, values.to_owned())))
+            .collect();
+        Ok(Self { path, lines })
+    }
+
+    fn numbers<const N: usize>(&self, key: &str) -> Result<[f64; N]> {
+        let Some((line, values)) = self.lines.get(key) else {
+            return Err(Error::malformed(&self.path, Place::Field(key.to_owned()), "no such line", format!("`{key}:` with {N} numbers")));
+        };
+        let place = Place::Line(*line);
+        let numbers = parse_numbers(values, &self.path, &place)?;
+        let count = numbers.len();
+        numbers
+            .try_into()
+            .map_err(|_| Error::malformed(&self.path, place, format!("`{key}` with {count} numbers"), format!("{N} numbers")))
+    }
+
+    fn rotation(&self, key: &str, translation: Vector3<f64>) -> Result<Pose> {
+        let matrix = Matrix3::from_row_slice(&self.numbers::<9>(key)?);
+        Pose::from_rounded_parts(matrix, translation, ROTATION_TOLERANCE).map_err(|deviation| {
+            let place = Place::Line(self.lines[key].0);
+            Error::malformed(&self.path, place, format!("`{key}` with |RᵀR − I| = {deviation:.1e}"), "a rotation matrix")
+        })
+    }
+}

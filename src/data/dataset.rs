@@ -1,0 +1,363 @@
+//! The pairs of an experiment: measured pose, true pose and images joined, split by split.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::path::PathBuf;
+
+use nalgebra::Vector6;
+use sha2::{Digest, Sha256};
+
+use super::drive::Drive;
+use crate::config::{Config, DriveConfig, MeasurementFrame, WatchedSplit};
+use crate::depth::has_depth;
+use crate::error::{Error, Result};
+use crate::geometry::{ErrorFrame, Pose, Tangent};
+use crate::systems::{Measurements, Trajectory, load_measurements, load_true_poses};
+
+/// What an experiment works with.
+#[derive(Clone, Debug)]
+pub struct Dataset {
+    /// Folder of the data.
+    pub root: PathBuf,
+    /// Every drive named by a split, once.
+    pub drives: Vec<Drive>,
+    /// Names of the systems.
+    pub systems: Vec<String>,
+    /// Pairs to learn from.
+    pub train: Split,
+    /// Pairs to watch.
+    pub validation: Split,
+    /// Pairs of the table.
+    pub test: Split,
+    /// What was found in each drive of each split.
+    pub coverage: Vec<Coverage>,
+}
+
+/// A role of pairs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SplitName {
+    /// Learned from.
+    Train,
+    /// Watched during training.
+    Validation,
+    /// Evaluated at the end.
+    Test,
+}
+
+impl SplitName {
+    /// Name as in the configuration.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Train => "train",
+            Self::Validation => "validation",
+            Self::Test => "test",
+        }
+    }
+}
+
+/// The pairs of one role, system by system.
+#[derive(Clone, Debug)]
+pub struct Split {
+    /// Its role.
+    pub name: SplitName,
+    /// Pairs that have images and depth, ordered by system, drive and frame.
+    pub pairs: Vec<Pair>,
+    /// Each system's range of `pairs`.
+    pub systems: Vec<Range<usize>>,
+}
+
+/// One measurement: two frames, the measured pose and its error.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pair {
+    /// Which frames.
+    pub id: PairId,
+    /// Index of the system that measured it.
+    pub system: usize,
+    /// Measured `ⁱT̂ᵢ₊₁` in axes of camera 2, m: what the warp uses.
+    pub source_from_target: Pose,
+    /// `e = log(T̂ T⁻¹)` (paper Eq. 2) in the configured error frame, m and rad.
+    pub error: Tangent,
+}
+
+/// Two frames of a drive.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct PairId {
+    /// Index into [`Dataset::drives`].
+    pub drive: usize,
+    /// Frame i.
+    pub source: usize,
+    /// Frame i + 1.
+    pub target: usize,
+}
+
+/// What one drive gives to one split.
+#[derive(Clone, Debug)]
+pub struct Coverage {
+    /// The split.
+    pub split: SplitName,
+    /// Index into [`Dataset::drives`].
+    pub drive: usize,
+    /// First and one past the last source frame, where the configuration cuts.
+    pub frames: Option<[usize; 2]>,
+    /// Frames with a true pose.
+    pub true_poses: usize,
+    /// Frames with an image.
+    pub images: usize,
+    /// Neighbouring frames that both have a true pose.
+    pub pose_pairs: usize,
+    /// Of those, pairs whose two images exist.
+    pub image_pairs: usize,
+    /// Of those, pairs whose target has depth.
+    pub depth_pairs: usize,
+    /// For each system: pairs with a measured and a true pose, with or without images.
+    pub measured_pairs: Vec<usize>,
+    /// For each system: the file that was looked for and is not there.
+    pub missing_files: Vec<Option<PathBuf>>,
+}
+
+impl Dataset {
+    /// Finds everything a configuration asks for.
+    ///
+    /// # Errors
+    /// A drive, calibration or measurement file is missing or malformed, or too many packets are
+    /// unreadable. Splits may come out empty; see [`Dataset::require`].
+    pub fn load(config: &Config) -> Result<Self> {
+        let mut loader = Loader { config, drives: Vec::new(), sources: Vec::new() };
+        let held_out = config.data.validation.is_empty() && config.training.watch == WatchedSplit::Validation;
+        let mut coverage = Vec::new();
+        let mut collect = |name, drives: &[DriveConfig]| -> Result<Vec<Pair>> {
+            let mut pairs = Vec::new();
+            for drive in drives {
+                let (drive_coverage, drive_pairs) = loader.load_drive(name, drive)?;
+                coverage.push(drive_coverage);
+                pairs.extend(drive_pairs);
+            }
+            Ok(pairs)
+        };
+        let train = collect(SplitName::Train, &config.data.train)?;
+        let validation = collect(SplitName::Validation, &config.data.validation)?;
+        let test = collect(SplitName::Test, &config.data.test)?;
+        let (train, validation) =
+            if held_out { hold_out(train, config.data.validation_fraction) } else { (train, validation) };
+        let systems = config.systems.len();
+        Ok(Self {
+            root: config.data.root.clone(),
+            drives: loader.drives,
+            systems: config.systems.iter().map(|system| system.name.clone()).collect(),
+            train: Split::new(SplitName::Train, train, systems),
+            validation: Split::new(SplitName::Validation, validation, systems),
+            test: Split::new(SplitName::Test, test, systems),
+            coverage,
+        })
+    }
+
+    /// The split of that role.
+    pub fn split(&self, name: SplitName) -> &Split {
+        match name {
+            SplitName::Train => &self.train,
+            SplitName::Validation => &self.validation,
+            SplitName::Test => &self.test,
+        }
+    }
+
+    /// A split in which every system has pairs.
+    ///
+    /// # Errors
+    /// A system has none; the message says what was missing.
+    pub fn require(&self, name: SplitName) -> Result<&Split> {
+        let split = self.split(name);
+        for (system, range) in split.systems.iter().enumerate() {
+            if range.is_empty() {
+                return Err(self.explain_empty(name, system));
+            }
+        }
+        Ok(split)
+    }
+
+    fn explain_empty(&self, name: SplitName, system: usize) -> Error {
+        let coverage: Vec<_> = self.coverage.iter().filter(|coverage| coverage.split == name).collect();
+        let sum = |count: fn(&Coverage) -> usize| coverage.iter().map(|coverage| count(coverage)).sum::<usize>();
+        let measured: usize = coverage.iter().map(|coverage| coverage.measured_pairs[system]).sum();
+        let files: Vec<_> = coverage
+            .iter()
+            .filter_map(|coverage| coverage.missing_files[system].as_ref())
+            .map(|path| path.display().to_string())
+            .collect();
+        let missing = if files.is_empty() { String::new() } else { format!("; not found: {}", files.join(", ")) };
+        Error::Data(format!(
+            "split `{}` has no pairs of system `{}`: {} drives, {} pairs of true poses, {} of them with images, {} of those with depth, {measured} measured by the system{missing}. \
+             `relcov inspect --config …` shows what each drive holds; `data.{}` chooses the drives",
+            name.name(),
+            self.systems[system],
+            coverage.len(),
+            sum(|coverage| coverage.pose_pairs),
+            sum(|coverage| coverage.image_pairs),
+            sum(|coverage| coverage.depth_pairs),
+            name.name(),
+        ))
+    }
+
+    /// A hash of every pair and error: two runs compare only when it agrees.
+    pub fn fingerprint(&self) -> String {
+        let mut hash = Sha256::new();
+        for split in [&self.train, &self.validation, &self.test] {
+            hash.update(split.name.name());
+            for pair in &split.pairs {
+                hash.update(&self.drives[pair.id.drive].name);
+                hash.update(&self.systems[pair.system]);
+                for index in [pair.id.source, pair.id.target] {
+                    hash.update((index as u64).to_le_bytes());
+                }
+                for value in pair.error.iter() {
+                    // A tenth of a micrometre: the same on every machine's libm.
+                    hash.update(((value * 1e7).round() as i64).to_le_bytes());
+                }
+            }
+        }
+        hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+}
+
+impl Split {
+    /// Sorts pairs by system; `systems` is how many there are.
+    fn new(name: SplitName, mut pairs: Vec<Pair>, systems: usize) -> Self {
+        pairs.sort_by_key(|pair| (pair.system, pair.id));
+        pairs.dedup_by_key(|pair| (pair.system, pair.id));
+        let start = |system| pairs.partition_point(|pair: &Pair| pair.system < system);
+        let ranges = (0..systems).map(|system| start(system)..start(system + 1)).collect();
+        Self { name, systems: ranges, pairs }
+    }
+
+    /// Mean of e² over one system's pairs, m² and rad².
+    pub fn mean_squared_error(&self, system: usize) -> Vector6<f64> {
+        let pairs = &self.pairs[self.systems[system].clone()];
+        let sum: Vector6<f64> = pairs.iter().map(|pair| pair.error.component_mul(&pair.error)).sum();
+        sum / pairs.len().max(1) as f64
+    }
+}
+
+/// Gives the last part of each drive to the second set.
+fn hold_out(pairs: Vec<Pair>, fraction: f64) -> (Vec<Pair>, Vec<Pair>) {
+    let mut sources: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    for pair in &pairs {
+        sources.entry(pair.id.drive).or_default().push(pair.id.source);
+    }
+    let first_held_out: BTreeMap<usize, usize> = sources
+        .into_iter()
+        .filter_map(|(drive, mut frames)| {
+            frames.sort_unstable();
+            frames.dedup();
+            let kept = frames.len() - (frames.len() as f64 * fraction).floor() as usize;
+            Some((drive, *frames.get(kept)?))
+        })
+        .collect();
+    pairs.into_iter().partition(|pair| first_held_out.get(&pair.id.drive).is_none_or(|&first| pair.id.source < first))
+}
+
+struct Loader<'a> {
+    config: &'a Config,
+    drives: Vec<Drive>,
+    /// For each drive: the truth and each system's measurements.
+    sources: Vec<(Trajectory, Vec<Measurements>)>,
+}
+
+impl Loader<'_> {
+    fn load_drive(&mut self, split: SplitName, wanted: &DriveConfig) -> Result<(Coverage, Vec<Pair>)> {
+        let index = self.drive_index(&wanted.drive)?;
+        let drive = &self.drives[index];
+        let (true_poses, systems) = &self.sources[index];
+        let root = &self.config.data.root;
+        let wanted_frame = |frame: usize| wanted.frames.is_none_or(|[first, end]| (first..end).contains(&frame));
+        let has_images = |&(source, target): &(usize, usize)| drive.images.contains_key(&source) && drive.images.contains_key(&target);
+
+        let pose_pairs: Vec<(usize, usize)> = true_poses
+            .keys()
+            .map(|&source| (source, source + 1))
+            .filter(|&(source, target)| wanted_frame(source) && true_poses.contains_key(&target))
+            .collect();
+        let image_pairs: Vec<_> = pose_pairs.iter().copied().filter(has_images).collect();
+        let depth_pairs = image_pairs.iter().filter(|(_, target)| has_depth(&self.config.depth, drive, *target, root)).count();
+
+        let mut pairs = Vec::new();
+        let mut measured_pairs = Vec::new();
+        for (system, measurements) in systems.iter().enumerate() {
+            let mut measured = 0;
+            for (&(source, target), measured_pose) in &measurements.relative_poses {
+                let (Some(world_from_source), Some(world_from_target)) = (true_poses.get(&source), true_poses.get(&target)) else {
+                    continue;
+                };
+                if !wanted_frame(source) {
+                    continue;
+                }
+                measured += 1;
+                if !has_images(&(source, target)) || !has_depth(&self.config.depth, drive, target, root) {
+                    continue;
+                }
+                let vehicle_from_camera2 = drive.calibration.camera2_from_vehicle.inverse();
+                let camera2_from_body = drive.calibration.camera2_from(measurements.frame);
+                let source_from_target = measured_pose.conjugated_by(&camera2_from_body);
+                let measured_motion = measured_pose.conjugated_by(&(vehicle_from_camera2 * camera2_from_body));
+                let true_motion = world_from_source.inverse() * *world_from_target;
+                let frame = self.config.data.error_frame;
+                // A system that is the truth has no error, not one of rounding.
+                let is_truth = measurements.frame == MeasurementFrame::Vehicle && *measured_pose == true_motion;
+                let error = match is_truth {
+                    true => Tangent::zeros(),
+                    false => error_in_frame(frame, &measured_motion, &true_motion, world_from_source, drive),
+                };
+                pairs.push(Pair { id: PairId { drive: index, source, target }, system, source_from_target, error });
+            }
+            measured_pairs.push(measured);
+        }
+        let coverage = Coverage {
+            split,
+            drive: index,
+            frames: wanted.frames,
+            true_poses: true_poses.keys().filter(|&&frame| wanted_frame(frame)).count(),
+            images: drive.images.keys().filter(|&&frame| wanted_frame(frame)).count(),
+            pose_pairs: pose_pairs.len(),
+            image_pairs: image_pairs.len(),
+            depth_pairs,
+            measured_pairs,
+            missing_files: systems.iter().map(|system| system.missing_file.clone()).collect(),
+        };
+        Ok((coverage, pairs))
+    }
+
+    fn drive_index(&mut self, name: &str) -> Result<usize> {
+        if let Some(index) = self.drives.iter().position(|drive| drive.name == name) {
+            return Ok(index);
+        }
+        let root = &self.config.data.root;
+        let drive = Drive::load(root, name)?;
+        let packets = drive.oxts_poses.len() + drive.problems.len();
+        let limit = self.config.data.max_bad_fraction;
+        if drive.problems.len() as f64 > limit * packets as f64 {
+            return Err(Error::Data(format!(
+                "{name}: {} of {packets} packets or times are unreadable, more than data.max_bad_fraction = {limit} allows; the first: {}",
+                drive.problems.len(),
+                drive.problems[0]
+            )));
+        }
+        let true_poses = load_true_poses(&self.config.truth, &drive, root)?;
+        let systems = self
+            .config
+            .systems
+            .iter()
+            .map(|system| load_measurements(&system.source, &drive, root, &true_poses))
+            .collect::<Result<_>>()?;
+        self.drives.push(drive);
+        self.sources.push((true_poses, systems));
+        Ok(self.drives.len() - 1)
+    }
+}
+
+/// Paper Eq. 2 in the axes of the error frame; both motions are given in vehicle axes.
+fn error_in_frame(frame: ErrorFrame, measured: &Pose, truth: &Pose, world_from_source: &Pose, drive: &Drive) -> Tangent {
+    let axes_from_vehicle = match frame {
+        ErrorFrame::Vehicle => Pose::identity(),
+        ErrorFrame::Camera => drive.calibration.camera2_from_vehicle,
+        ErrorFrame::World => Pose { translation: nalgebra::Vector3::zeros(), ..*world_from_source },
+    };
+    Pose::error(&measured.conjugated_by(&axes_from_vehicle), &truth.conjugated_by(&axes_from_vehicle))
+}

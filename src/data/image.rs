@@ -1,0 +1,74 @@
+//! Decoding colour images and bringing them to the network's size.
+
+use std::path::Path;
+
+use fast_image_resize::images::Image as ResizeImage;
+use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
+
+use crate::error::{Error, Place, Result};
+
+/// An 8-bit RGB image, rows of `r g b`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RgbImage {
+    /// Width, px.
+    pub width: usize,
+    /// Height, px.
+    pub height: usize,
+    /// `3 * width * height` bytes.
+    pub bytes: Vec<u8>,
+}
+
+impl RgbImage {
+    /// The image at another size, antialiased (bilinear kernel widened by the scale), with the pixel
+    /// geometry of [`Pinhole::resized`](crate::geometry::Pinhole::resized).
+    pub fn resized(self, width: usize, height: usize) -> Self {
+        if (self.width, self.height) == (width, height) {
+            return self;
+        }
+        let source = ResizeImage::from_vec_u8(self.width as u32, self.height as u32, self.bytes, PixelType::U8x3)
+            .expect("3 bytes a pixel");
+        let mut target = ResizeImage::new(width as u32, height as u32, PixelType::U8x3);
+        let options = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(FilterType::Bilinear));
+        Resizer::new().resize(&source, &mut target, &options).expect("same pixel type");
+        Self { width, height, bytes: target.into_vec() }
+    }
+
+    /// Appends the image as planes of 0…1, channel by channel.
+    pub fn extend_planar(&self, planes: &mut Vec<f32>) {
+        for channel in 0..3 {
+            planes.extend(self.bytes[channel..].iter().step_by(3).map(|&byte| f32::from(byte) / 255.0));
+        }
+    }
+}
+
+/// Decodes a PNG or JPEG file (grey images become RGB).
+///
+/// # Errors
+/// The file cannot be read or decoded.
+pub fn read_image(path: &Path) -> Result<RgbImage> {
+    let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
+    let image = image::load_from_memory(&bytes)
+        .map_err(|error| Error::malformed(path, Place::Whole, error.to_string(), "a complete PNG or JPEG image"))?
+        .into_rgb8();
+    Ok(RgbImage { width: image.width() as usize, height: image.height() as usize, bytes: image.into_raw() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Pinhole;
+
+    #[test]
+    fn a_resized_ramp_keeps_the_pixel_geometry_of_the_resized_camera() {
+        let (width, height) = (128, 8);
+        let bytes = (0..height).flat_map(|_| (0..width).flat_map(|u| [2 * u as u8; 3])).collect();
+        let small = RgbImage { width, height, bytes }.resized(32, 4);
+        let camera = Pinhole { fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0, width, height }.resized(32, 4);
+        for u in 2..30 {
+            // Full-size column seen by pixel u of the small image.
+            let column = (u as f64 - camera.cx) / camera.fx;
+            let value = f64::from(small.bytes[3 * u]);
+            assert!((value - 2.0 * column).abs() <= 1.0, "column {u}: {value} at {column}");
+        }
+    }
+}

@@ -1,0 +1,117 @@
+//! Reads batches ahead of the network: one thread keeps the order, a small pool decodes, a bounded
+//! channel limits how far ahead.
+
+use std::ops::Range;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, sync_channel};
+use std::thread::JoinHandle;
+
+use rayon::ThreadPoolBuilder;
+use rayon::prelude::*;
+
+use super::batch::PairNumbers;
+use super::dataset::Pair;
+use super::reader::{PairReader, PairSample};
+use crate::error::{Error, Result};
+
+/// A pair to read, and what to do when it cannot be read.
+#[derive(Clone, Debug)]
+pub struct Choice {
+    /// Index of the pair.
+    pub pair: usize,
+    /// Pairs that may stand in for it, the next readable one after it; none: it is left out.
+    pub substitutes: Option<Range<usize>>,
+}
+
+/// A batch as it comes from the loader.
+#[derive(Clone, Debug)]
+pub struct LoadedBatch {
+    /// Indices of the pairs that were read, in order.
+    pub pairs: Vec<usize>,
+    /// Their numbers; `None` when every pair was left out.
+    pub numbers: Option<PairNumbers>,
+}
+
+/// An iterator over batches that are read in the background, in the order they were asked for.
+pub struct BatchLoader {
+    batches: Option<Receiver<Result<LoadedBatch>>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl BatchLoader {
+    /// Starts reading. At most `prefetch` batches wait to be taken.
+    ///
+    /// # Errors
+    /// Threads cannot be started.
+    pub fn spawn(
+        reader: Arc<PairReader>,
+        pairs: Arc<Vec<Pair>>,
+        requests: impl Iterator<Item = Vec<Choice>> + Send + 'static,
+        threads: usize,
+        prefetch: usize,
+    ) -> Result<Self> {
+        let failed = |error: &dyn std::fmt::Display| Error::Training(format!("cannot start loader threads: {error}"));
+        let pool = ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .thread_name(|index| format!("loader-{index}"))
+            .build()
+            .map_err(|error| failed(&error))?;
+        let (sender, batches) = sync_channel(prefetch);
+        let thread = std::thread::Builder::new()
+            .name("loader".to_owned())
+            .spawn(move || {
+                for request in requests {
+                    let batch = pool.install(|| load(&reader, &pairs, &request));
+                    let failed = batch.is_err();
+                    // The receiver is gone when training stopped.
+                    if sender.send(batch).is_err() || failed {
+                        return;
+                    }
+                }
+            })
+            .map_err(|error| failed(&error))?;
+        Ok(Self { batches: Some(batches), thread: Some(thread) })
+    }
+}
+
+impl Iterator for BatchLoader {
+    type Item = Result<LoadedBatch>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        self.batches.as_ref()?.recv().ok()
+    }
+}
+
+impl Drop for BatchLoader {
+    fn drop(&mut self) {
+        drop(self.batches.take());
+        if let Some(thread) = self.thread.take() {
+            // A panic of the loader has already been printed; the batches it owed are missed.
+            let _ = thread.join();
+        }
+    }
+}
+
+fn load(reader: &PairReader, pairs: &[Pair], request: &[Choice]) -> Result<LoadedBatch> {
+    let read: Vec<Option<(usize, PairSample)>> =
+        request.par_iter().map(|choice| read_choice(reader, pairs, choice)).collect::<Result<_>>()?;
+    let (pairs, samples): (Vec<usize>, Vec<PairSample>) = read.into_iter().flatten().unzip();
+    let numbers = (!samples.is_empty()).then(|| PairNumbers::new(&samples));
+    Ok(LoadedBatch { pairs, numbers })
+}
+
+fn read_choice(reader: &PairReader, pairs: &[Pair], choice: &Choice) -> Result<Option<(usize, PairSample)>> {
+    let candidates: Box<dyn Iterator<Item = usize>> = match &choice.substitutes {
+        None => Box::new(std::iter::once(choice.pair)),
+        Some(range) => Box::new((choice.pair..range.end).chain(range.start..choice.pair)),
+    };
+    for candidate in candidates {
+        if let Some(sample) = reader.read(&pairs[candidate])? {
+            return Ok(Some((candidate, sample)));
+        }
+    }
+    match &choice.substitutes {
+        None => Ok(None),
+        Some(_) => Err(Error::Data("not one pair of a system can be read".to_owned())),
+    }
+}

@@ -1,0 +1,23 @@
+//! From files to pairs: KITTI raw drives, their calibration, packets and frames; the pairs of each
+//! split; reading them ahead of the network; and the only door from the CPU to a device
+//! ([`PairBatch`]).
+//!
+//! Leaves to others: where measured poses come from (`systems`), depth (`depth`).
+
+mod batch;
+mod calibration;
+mod dataset;
+mod drive;
+mod image;
+mod loader;
+mod oxts;
+mod reader;
+
+pub use self::image::{RgbImage, read_image};
+pub use batch::{PairBatch, PairNumbers};
+pub use calibration::Calibration;
+pub use dataset::{Coverage, Dataset, Pair, PairId, Split, SplitName};
+pub use drive::Drive;
+pub use loader::{BatchLoader, Choice, LoadedBatch};
+pub use oxts::{OxtsPacket, world_from_vehicle};
+pub use reader::{BadFrame, PairReader, PairSample};

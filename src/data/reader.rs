@@ -1,0 +1,207 @@
+//! Reads what the network needs of a pair: two images and the target's depth at its size.
+//!
+//! Decoded frames are cached within a fixed budget, so memory does not grow with the data set. A
+//! frame that cannot be read is remembered and counted; too many end the run.
+
+use std::collections::{BTreeMap, HashSet};
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, MutexGuard};
+
+use quick_cache::Weighter;
+use quick_cache::sync::Cache;
+
+use super::dataset::{Dataset, Pair, Split};
+use super::drive::Drive;
+use super::image::{RgbImage, read_image};
+use crate::config::{Config, DepthConfig};
+use crate::depth::{DepthMap, load_depth};
+use crate::error::{Error, Place, Result};
+use crate::geometry::{Pinhole, Pose, Tangent};
+
+/// A pair ready for the network.
+#[derive(Clone, Debug)]
+pub struct PairSample {
+    /// `I_i` at network size.
+    pub source_image: Arc<RgbImage>,
+    /// `I_{i+1}` at network size.
+    pub target_image: Arc<RgbImage>,
+    /// Depth of the target, m.
+    pub target_depth: Arc<DepthMap>,
+    /// Colour camera at network size.
+    pub camera: Pinhole,
+    /// Measured `ⁱT̂ᵢ₊₁`, axes of the colour camera, m.
+    pub source_from_target: Pose,
+    /// e, m and rad; zero where it is not known.
+    pub error: Tangent,
+}
+
+/// A frame that could not be read.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BadFrame {
+    /// Drive name.
+    pub drive: String,
+    /// Frame index.
+    pub frame: usize,
+    /// Why.
+    pub problem: String,
+}
+
+/// Reads pairs; shared by loader threads.
+pub struct PairReader {
+    root: PathBuf,
+    drives: Vec<Drive>,
+    cameras: Vec<Pinhole>,
+    depth: DepthConfig,
+    frames: Cache<FrameKey, Frame, FrameWeighter>,
+    bad_frames: Mutex<BTreeMap<(usize, usize), String>>,
+    max_bad_frames: f64,
+    max_bad_fraction: f64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+enum FrameKey {
+    Image(usize, usize),
+    Depth(usize, usize),
+}
+
+#[derive(Clone)]
+enum Frame {
+    Image(Arc<RgbImage>),
+    Depth(Arc<DepthMap>),
+}
+
+#[derive(Clone)]
+struct FrameWeighter;
+
+impl Weighter<FrameKey, Frame> for FrameWeighter {
+    fn weight(&self, _: &FrameKey, frame: &Frame) -> u64 {
+        match frame {
+            Frame::Image(image) => image.bytes.len() as u64,
+            Frame::Depth(depth) => 4 * depth.depth_m.len() as u64,
+        }
+    }
+}
+
+impl PairReader {
+    /// A reader for the pairs of a data set at the configured network size.
+    pub fn new(config: &Config, dataset: &Dataset) -> Self {
+        let (width, height) = (config.model.width, config.model.height);
+        let cache_bytes = config.data.cache_mb as u64 * 1_000_000;
+        let typical_frame = (3 * width * height) as u64;
+        let frames: HashSet<_> = [&dataset.train, &dataset.validation, &dataset.test]
+            .into_iter()
+            .flat_map(|split: &Split| &split.pairs)
+            .flat_map(|pair| [(pair.id.drive, pair.id.source), (pair.id.drive, pair.id.target)])
+            .collect();
+        let max_bad_fraction = config.data.max_bad_fraction;
+        Self {
+            root: dataset.root.clone(),
+            cameras: dataset.drives.iter().map(|drive| drive.calibration.camera2.resized(width, height)).collect(),
+            drives: dataset.drives.clone(),
+            depth: config.depth.clone(),
+            frames: Cache::with_weighter((cache_bytes / typical_frame) as usize + 1, cache_bytes, FrameWeighter),
+            bad_frames: Mutex::default(),
+            max_bad_frames: max_bad_fraction * frames.len() as f64,
+            max_bad_fraction,
+        }
+    }
+
+    /// Reads a pair, or `None` when one of its frames is bad.
+    ///
+    /// # Errors
+    /// More frames are bad than the configuration allows.
+    pub fn read(&self, pair: &Pair) -> Result<Option<PairSample>> {
+        let camera = self.cameras[pair.id.drive];
+        let (drive, source, target) = (pair.id.drive, pair.id.source, pair.id.target);
+        if [source, target].iter().any(|&frame| self.bad_frames_lock().contains_key(&(drive, frame))) {
+            return Ok(None);
+        }
+        let images = (self.image(drive, source), self.image(drive, target), self.target_depth(drive, target));
+        let (source_image, target_image, target_depth) = match images {
+            (Ok(source_image), Ok(target_image), Ok(target_depth)) => (source_image, target_image, target_depth),
+            (source_image, target_image, target_depth) => {
+                let problems = [
+                    (source, source_image.err()),
+                    (target, target_image.err()),
+                    (target, target_depth.err()),
+                ];
+                for (frame, problem) in problems {
+                    if let Some(problem) = problem {
+                        self.note_bad_frame(drive, frame, &problem)?;
+                    }
+                }
+                return Ok(None);
+            }
+        };
+        Ok(Some(PairSample {
+            source_image,
+            target_image,
+            target_depth,
+            camera,
+            source_from_target: pair.source_from_target,
+            error: pair.error,
+        }))
+    }
+
+    /// The frames that could not be read so far.
+    pub fn bad_frames(&self) -> Vec<BadFrame> {
+        let name = |drive: usize| self.drives[drive].name.clone();
+        self.bad_frames_lock()
+            .iter()
+            .map(|(&(drive, frame), problem)| BadFrame { drive: name(drive), frame, problem: problem.clone() })
+            .collect()
+    }
+
+    fn image(&self, drive: usize, frame: usize) -> Result<Arc<RgbImage>> {
+        let key = FrameKey::Image(drive, frame);
+        if let Some(Frame::Image(image)) = self.frames.get(&key) {
+            return Ok(image);
+        }
+        let path = &self.drives[drive].images[&frame];
+        let image = read_image(path)?;
+        let expected = &self.drives[drive].calibration.camera2;
+        if (image.width, image.height) != (expected.width, expected.height) {
+            return Err(Error::malformed(
+                path,
+                Place::Whole,
+                format!("{}x{} pixels", image.width, image.height),
+                format!("{}x{} as in calib_cam_to_cam.txt (S_rect_02)", expected.width, expected.height),
+            ));
+        }
+        let camera = &self.cameras[drive];
+        let image = Arc::new(image.resized(camera.width, camera.height));
+        self.frames.insert(key, Frame::Image(image.clone()));
+        Ok(image)
+    }
+
+    fn target_depth(&self, drive: usize, frame: usize) -> Result<Arc<DepthMap>> {
+        // The road looks the same from every frame of a drive.
+        let cached_frame = if matches!(self.depth, DepthConfig::GroundPlane { .. }) { 0 } else { frame };
+        let key = FrameKey::Depth(drive, cached_frame);
+        if let Some(Frame::Depth(depth)) = self.frames.get(&key) {
+            return Ok(depth);
+        }
+        let depth = Arc::new(load_depth(&self.depth, &self.drives[drive], frame, &self.root, &self.cameras[drive])?);
+        self.frames.insert(key, Frame::Depth(depth.clone()));
+        Ok(depth)
+    }
+
+    fn note_bad_frame(&self, drive: usize, frame: usize, problem: &Error) -> Result<()> {
+        let mut bad_frames = self.bad_frames_lock();
+        if bad_frames.insert((drive, frame), problem.to_string()).is_none() {
+            tracing::warn!("skipping {} frame {frame}: {problem}", self.drives[drive].name);
+        }
+        if bad_frames.len() as f64 > self.max_bad_frames {
+            return Err(Error::Data(format!(
+                "{} unreadable frames are more than data.max_bad_fraction = {} allows; the last: {problem}",
+                bad_frames.len(),
+                self.max_bad_fraction
+            )));
+        }
+        Ok(())
+    }
+
+    fn bad_frames_lock(&self) -> MutexGuard<'_, BTreeMap<(usize, usize), String>> {
+        self.bad_frames.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+    }
+}

@@ -1,0 +1,77 @@
+//! Depth maps on disk: 16-bit PNG, metres x 256, 0 = unknown (KITTI's own format).
+
+use std::path::{Path, PathBuf};
+
+use image::{DynamicImage, ImageBuffer, ImageFormat, Luma};
+
+use super::DepthMap;
+use crate::data::Drive;
+use crate::error::{Error, Place, Result};
+
+/// Steps of a metre in a depth PNG.
+const STEPS_PER_METRE: f32 = 256.0;
+
+/// Path of a frame's depth map from a template below `root`.
+pub(super) fn depth_path(template: &str, drive: &Drive, frame: usize, root: &Path) -> PathBuf {
+    root.join(template.replace("{date}", drive.date()).replace("{drive}", &drive.name).replace("{frame}", &format!("{frame:010}")))
+}
+
+/// Reads a depth PNG at its own size.
+///
+/// # Errors
+/// The file cannot be read or decoded, or is not 16-bit grey.
+pub fn read_depth_png(path: &Path) -> Result<DepthMap> {
+    let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
+    let expected = "a 16-bit grey PNG, metres x 256";
+    let image = image::load_from_memory_with_format(&bytes, ImageFormat::Png)
+        .map_err(|error| Error::malformed(path, Place::Whole, error.to_string(), expected))?;
+    let DynamicImage::ImageLuma16(image) = image else {
+        return Err(Error::malformed(path, Place::Whole, format!("{:?} pixels", image.color()), expected));
+    };
+    let depth_m = image.pixels().map(|pixel| f32::from(pixel.0[0]) / STEPS_PER_METRE).collect();
+    Ok(DepthMap { width: image.width() as usize, height: image.height() as usize, depth_m })
+}
+
+/// Writes a depth PNG; depths beyond the format's 255.99 m become unknown.
+///
+/// # Errors
+/// The file cannot be written.
+pub fn write_depth_png(path: &Path, map: &DepthMap) -> Result<()> {
+    let step = |&depth: &f32| {
+        let steps = (depth * STEPS_PER_METRE).round();
+        if (0.0..=f32::from(u16::MAX)).contains(&steps) { steps as u16 } else { 0 }
+    };
+    let pixels = map.depth_m.iter().map(step).collect();
+    let image: ImageBuffer<Luma<u16>, Vec<u16>> =
+        ImageBuffer::from_raw(map.width as u32, map.height as u32, pixels).expect("one value a pixel");
+    image.save_with_format(path, ImageFormat::Png).map_err(|error| Error::Io {
+        action: "write",
+        path: path.to_owned(),
+        source: std::io::Error::other(error),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn depth_comes_back_to_the_step() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("depth.png");
+        let map = DepthMap { width: 3, height: 1, depth_m: vec![0.0, 12.34, 300.0] };
+        write_depth_png(&path, &map).unwrap();
+        let back = read_depth_png(&path).unwrap();
+        assert_eq!(back.depth_m[0], 0.0);
+        assert!((back.depth_m[1] - 12.34).abs() <= 0.5 / STEPS_PER_METRE);
+        assert_eq!(back.depth_m[2], 0.0);
+    }
+
+    #[test]
+    fn an_8_bit_picture_is_no_depth_map() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("depth.png");
+        image::GrayImage::new(4, 4).save(&path).unwrap();
+        assert!(read_depth_png(&path).unwrap_err().to_string().contains("16-bit"));
+    }
+}

@@ -1,0 +1,139 @@
+//! From `--device` to a Burn device: backends are swapped here and nowhere else.
+
+use burn::tensor::Device;
+
+use crate::error::{Error, Result};
+
+/// Names that `--device` accepts, for help texts.
+pub const DEVICE_NAMES: &str = "auto | flex | ndarray | wgpu | vulkan | cuda[:i]";
+
+/// Opens a device by name.
+///
+/// `auto` is a real GPU when one is there (never a software rasteriser), else flex.
+///
+/// # Errors
+/// The name is unknown, its backend is not compiled in, or the machine has no such device.
+pub fn open_device(name: &str) -> Result<Device> {
+    match name.split_once(':').unwrap_or((name, "")) {
+        ("auto", "") => Ok(auto()),
+        ("flex", "") => flex(name),
+        ("ndarray", "") => ndarray(name),
+        ("wgpu", "") => wgpu(name),
+        ("vulkan", "") => vulkan(name),
+        ("cuda", index) => cuda(name, index),
+        _ => Err(Error::Device { name: name.to_owned(), problem: format!("unknown; expected {DEVICE_NAMES}") }),
+    }
+}
+
+/// Short name of an opened device's backend, as stored with results.
+pub fn device_name(device: &Device) -> String {
+    let debug = format!("{device:?}").to_lowercase();
+    ["flex", "ndarray", "cuda", "vulkan", "wgpu"].into_iter().find(|name| debug.contains(name)).map_or(debug.clone(), str::to_owned)
+}
+
+/// Whether training on this device is so slow that the user should know.
+pub fn is_slow_to_train(device: &Device) -> bool {
+    device_name(device) == "ndarray"
+}
+
+fn not_compiled(name: &str, feature: &str) -> Error {
+    Error::Device {
+        name: name.to_owned(),
+        problem: format!("this backend is not compiled in; build with `--features {feature}`"),
+    }
+}
+
+#[cfg(feature = "flex")]
+fn flex(_: &str) -> Result<Device> {
+    Ok(Device::flex())
+}
+
+#[cfg(not(feature = "flex"))]
+fn flex(name: &str) -> Result<Device> {
+    Err(not_compiled(name, "flex"))
+}
+
+#[cfg(feature = "ndarray")]
+#[allow(deprecated, reason = "users ask for ndarray by name; flex is the CPU default")]
+fn ndarray(_: &str) -> Result<Device> {
+    Ok(Device::ndarray())
+}
+
+#[cfg(not(feature = "ndarray"))]
+fn ndarray(name: &str) -> Result<Device> {
+    Err(not_compiled(name, "ndarray"))
+}
+
+#[cfg(feature = "wgpu")]
+fn wgpu(name: &str) -> Result<Device> {
+    adapter(name, burn::tensor::DeviceType::Wgpu)
+}
+
+#[cfg(not(feature = "wgpu"))]
+fn wgpu(name: &str) -> Result<Device> {
+    Err(not_compiled(name, "wgpu"))
+}
+
+#[cfg(feature = "vulkan")]
+fn vulkan(name: &str) -> Result<Device> {
+    adapter(name, burn::tensor::DeviceType::Vulkan)
+}
+
+#[cfg(not(feature = "vulkan"))]
+fn vulkan(name: &str) -> Result<Device> {
+    Err(not_compiled(name, "vulkan"))
+}
+
+#[cfg(feature = "cuda")]
+fn cuda(name: &str, index: &str) -> Result<Device> {
+    let problem = |problem: String| Error::Device { name: name.to_owned(), problem };
+    let index: usize = match index {
+        "" => 0,
+        index => index.parse().map_err(|_| problem(format!("`{index}` is not a number; expected cuda or cuda:0, cuda:1, …")))?,
+    };
+    let devices: Vec<Device> = Device::enumerate(burn::tensor::DeviceType::Cuda).into_iter().collect();
+    let count = devices.len();
+    devices
+        .into_iter()
+        .nth(index)
+        .ok_or_else(|| problem(format!("there are {count} CUDA devices here; use another --device, such as flex")))
+}
+
+#[cfg(not(feature = "cuda"))]
+fn cuda(name: &str, _: &str) -> Result<Device> {
+    Err(not_compiled(name, "cuda"))
+}
+
+/// A graphics adapter, a real GPU before a software rasteriser.
+#[cfg(feature = "wgpu")]
+fn adapter(name: &str, kind: burn::tensor::DeviceType) -> Result<Device> {
+    let mut devices: Vec<Device> = Device::enumerate(kind).into_iter().collect();
+    devices.sort_by_key(|device| !is_real_gpu(device));
+    let device = devices.into_iter().next().ok_or_else(|| Error::Device {
+        name: name.to_owned(),
+        problem: "no graphics adapter was found; install a GPU driver (or mesa-vulkan-drivers for a software one), or use --device flex".to_owned(),
+    })?;
+    if !is_real_gpu(&device) {
+        tracing::warn!("device `{name}` is a software rasteriser: far slower than --device flex");
+    }
+    Ok(device)
+}
+
+/// A software rasteriser is no physical device.
+#[cfg(feature = "wgpu")]
+fn is_real_gpu(device: &Device) -> bool {
+    device.identity().is_some_and(|identity| identity.physical.is_some())
+}
+
+fn auto() -> Device {
+    #[cfg(feature = "cuda")]
+    if let Ok(device) = cuda("auto", "") {
+        return device;
+    }
+    #[cfg(feature = "wgpu")]
+    if let Some(device) = Device::enumerate(burn::tensor::DeviceType::Wgpu).into_iter().find(is_real_gpu) {
+        return device;
+    }
+    // Burn's training crate always brings flex along.
+    Device::flex()
+}

@@ -1,0 +1,99 @@
+//! Running a model over the pairs of a split.
+
+use std::sync::Arc;
+
+use burn::tensor::Device;
+
+use crate::config::TrainingConfig;
+use crate::data::{BatchLoader, Choice, PairId, PairReader, Split};
+use crate::error::{Error, Result};
+use crate::model::CovarianceModel;
+
+/// Outputs this close to their floor count as sitting on it, nats.
+const FLOOR_MARGIN: f64 = 0.1;
+
+/// A predicted diagonal covariance beside the error it should cover.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Prediction {
+    /// Which frames.
+    pub pair: PairId,
+    /// Index of the system.
+    pub system: usize,
+    /// e, order ρ then φ, m and rad.
+    pub error: [f64; 6],
+    /// d, ln m² and ln rad².
+    pub log_variance: [f64; 6],
+}
+
+impl Prediction {
+    /// The loss of this pair (paper Eq. 7): `sum(d) + eᵀ diag(exp(−d)) e`.
+    pub fn loss(&self) -> f64 {
+        self.log_variance.iter().zip(self.error).map(|(d, e)| d + e * e * (-d).exp()).sum()
+    }
+
+    /// Diagonal of R, m² and rad².
+    pub fn variance(&self) -> [f64; 6] {
+        self.log_variance.map(f64::exp)
+    }
+}
+
+/// Predicts every readable pair of a split, in order; `progress` is told how many are done.
+///
+/// # Errors
+/// Too many frames are unreadable, or the device failed.
+pub fn predict_split(
+    model: &CovarianceModel,
+    reader: &Arc<PairReader>,
+    split: &Split,
+    loading: &TrainingConfig,
+    device: &Device,
+    progress: &mut dyn FnMut(usize),
+) -> Result<Vec<Prediction>> {
+    // Both systems look at the same images: side by side each is decoded once.
+    let mut order: Vec<usize> = (0..split.pairs.len()).collect();
+    order.sort_by_key(|&pair| (split.pairs[pair].id, split.pairs[pair].system));
+    let choices: Vec<Choice> = order.into_iter().map(|pair| Choice { pair, substitutes: None }).collect();
+    let requests: Vec<Vec<Choice>> = choices.chunks(loading.micro_batch).map(<[Choice]>::to_vec).collect();
+    let pairs = Arc::new(split.pairs.clone());
+    let batches = requests.len();
+    let loader = BatchLoader::spawn(reader.clone(), pairs.clone(), requests.into_iter(), loading.loader_threads, loading.prefetch)?;
+
+    let mut predictions = Vec::with_capacity(pairs.len());
+    let mut loaded = 0;
+    for batch in loader {
+        let batch = batch?;
+        loaded += 1;
+        let Some(numbers) = batch.numbers else { continue };
+        let log_variances = model.forward(&numbers.upload(device));
+        let data = log_variances.try_into_data().map_err(|error| Error::Training(format!("the device failed: {error:?}")))?;
+        let values: Vec<f64> = data.iter::<f64>().collect();
+        for (&pair, log_variance) in batch.pairs.iter().zip(values.chunks_exact(6)) {
+            let pair = &pairs[pair];
+            let log_variance: [f64; 6] = log_variance.try_into().expect("six outputs");
+            if log_variance.iter().any(|d| !d.is_finite()) {
+                return Err(Error::Training(format!(
+                    "the model predicts {log_variance:?} for frames {} and {}; its weights are not usable",
+                    pair.id.source, pair.id.target
+                )));
+            }
+            predictions.push(Prediction { pair: pair.id, system: pair.system, error: pair.error.into(), log_variance });
+        }
+        progress(predictions.len());
+    }
+    if loaded < batches {
+        return Err(Error::Training("the data loader ended early; its message stands above".to_owned()));
+    }
+    predictions.sort_by_key(|prediction| (prediction.system, prediction.pair));
+    Ok(predictions)
+}
+
+/// Share of log-variances that sit on their floor.
+pub fn share_at_floor(predictions: &[Prediction], floor: &[f64; 6]) -> f64 {
+    let outputs = predictions.iter().flat_map(|prediction| prediction.log_variance.iter().zip(floor));
+    let (mut total, mut low) = (0_usize, 0_usize);
+    for (d, floor) in outputs {
+        total += 1;
+        low += usize::from(*d < floor + FLOOR_MARGIN);
+    }
+    low as f64 / total.max(1) as f64
+}

@@ -1,0 +1,86 @@
+//! The pinhole camera of rectified images.
+
+use nalgebra::{Vector2, Vector3};
+use serde::{Deserialize, Serialize};
+
+/// Pinhole intrinsics of an image of known size; pixels, centres at integer coordinates.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Pinhole {
+    /// Focal length along x, px.
+    pub fx: f64,
+    /// Focal length along y, px.
+    pub fy: f64,
+    /// Principal point, column, px.
+    pub cx: f64,
+    /// Principal point, row, px.
+    pub cy: f64,
+    /// Image width, px.
+    pub width: usize,
+    /// Image height, px.
+    pub height: usize,
+}
+
+impl Pinhole {
+    /// The camera of the same view sampled at another size.
+    ///
+    /// A pixel covers the half-open square of half a pixel around its centre, so edges, not centres,
+    /// scale: `u' = (u + ½) s − ½`.
+    pub fn resized(&self, width: usize, height: usize) -> Self {
+        let scale_x = width as f64 / self.width as f64;
+        let scale_y = height as f64 / self.height as f64;
+        Self {
+            fx: self.fx * scale_x,
+            fy: self.fy * scale_y,
+            cx: (self.cx + 0.5) * scale_x - 0.5,
+            cy: (self.cy + 0.5) * scale_y - 0.5,
+            width,
+            height,
+        }
+    }
+
+    /// Pixel of a point in front of the camera; metres in, pixels out.
+    pub fn project(&self, point: &Vector3<f64>) -> Option<Vector2<f64>> {
+        (point.z > 0.0)
+            .then(|| Vector2::new(self.fx * point.x / point.z + self.cx, self.fy * point.y / point.z + self.cy))
+    }
+
+    /// The point at `depth` (m, along the optical axis) seen by a pixel.
+    pub fn backproject(&self, pixel: &Vector2<f64>, depth: f64) -> Vector3<f64> {
+        depth * Vector3::new((pixel.x - self.cx) / self.fx, (pixel.y - self.cy) / self.fy, 1.0)
+    }
+
+    /// Whether a pixel coordinate lies between the centres of the border pixels.
+    pub fn contains(&self, pixel: &Vector2<f64>) -> bool {
+        (0.0..=self.width as f64 - 1.0).contains(&pixel.x) && (0.0..=self.height as f64 - 1.0).contains(&pixel.y)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use approx::assert_relative_eq;
+
+    use super::*;
+
+    const CAMERA: Pinhole = Pinhole { fx: 707.0912, fy: 707.0912, cx: 601.8873, cy: 183.1104, width: 1226, height: 370 };
+
+    #[test]
+    fn backprojection_inverts_projection() {
+        let point = Vector3::new(-3.0, 1.2, 17.0);
+        let pixel = CAMERA.project(&point).unwrap();
+        assert_relative_eq!(CAMERA.backproject(&pixel, point.z), point, epsilon = 1e-12);
+        assert!(CAMERA.project(&-point).is_none());
+    }
+
+    #[test]
+    fn resizing_keeps_the_edges_of_the_view() {
+        let small = CAMERA.resized(320, 96);
+        // The left and right image edges see the same directions at both sizes.
+        for (full_px, small_px) in [(-0.5, -0.5), (1225.5, 319.5)] {
+            let full = CAMERA.backproject(&Vector2::new(full_px, 0.0), 1.0);
+            let resized = small.backproject(&Vector2::new(small_px, 0.0), 1.0);
+            assert_relative_eq!(full.x, resized.x, epsilon = 1e-12);
+        }
+        let there_and_back = small.resized(1226, 370);
+        assert_relative_eq!(there_and_back.cx, CAMERA.cx, epsilon = 1e-9);
+    }
+}

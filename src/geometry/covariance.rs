@@ -1,0 +1,137 @@
+//! The 6x6 covariance of a relative-pose error and how it moves between frames.
+
+use nalgebra::{Matrix6, Vector6};
+
+use super::{Pose, Tangent};
+
+/// Covariance of `e = log(T̂ T⁻¹)`: a left perturbation, order ρ then φ, m² and rad².
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Covariance6(Matrix6<f64>);
+
+/// What keeps a 6x6 matrix from being a covariance.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum CovarianceError {
+    /// An entry is NaN or infinite.
+    #[error("entry ({0}, {1}) is not finite")]
+    NotFinite(usize, usize),
+    /// Two mirrored entries differ.
+    #[error("entries ({0}, {1}) and ({1}, {0}) differ")]
+    NotSymmetric(usize, usize),
+    /// A direction has negative variance.
+    #[error("smallest eigenvalue {0:.3e} is negative")]
+    NegativeVariance(f64),
+}
+
+impl Covariance6 {
+    /// A covariance from a full matrix.
+    ///
+    /// # Errors
+    /// An entry is not finite, the matrix is not symmetric, or an eigenvalue is negative.
+    pub fn from_matrix(matrix: Matrix6<f64>) -> Result<Self, CovarianceError> {
+        let scale = matrix.abs().max();
+        for row in 0..6 {
+            for column in 0..6 {
+                if !matrix[(row, column)].is_finite() {
+                    return Err(CovarianceError::NotFinite(row, column));
+                }
+                if (matrix[(row, column)] - matrix[(column, row)]).abs() > 1e-9 * scale {
+                    return Err(CovarianceError::NotSymmetric(row.min(column), row.max(column)));
+                }
+            }
+        }
+        let smallest = matrix.symmetric_eigenvalues().min();
+        if smallest < -1e-9 * scale {
+            return Err(CovarianceError::NegativeVariance(smallest));
+        }
+        Ok(Self(0.5 * (matrix + matrix.transpose())))
+    }
+
+    /// `R = D(exp(d))` (paper, below Eq. 6).
+    pub fn from_log_variances(log_variance: &Vector6<f64>) -> Self {
+        Self(Matrix6::from_diagonal(&log_variance.map(f64::exp)))
+    }
+
+    /// A diagonal covariance from standard deviations, m and rad.
+    pub fn from_std_devs(std_devs: &Vector6<f64>) -> Self {
+        Self(Matrix6::from_diagonal(&std_devs.component_mul(std_devs)))
+    }
+
+    /// The matrix, m² and rad².
+    pub fn matrix(&self) -> &Matrix6<f64> {
+        &self.0
+    }
+
+    /// The diagonal, m² and rad².
+    pub fn variance(&self) -> Vector6<f64> {
+        self.0.diagonal()
+    }
+
+    /// Square roots of the diagonal, m and rad.
+    pub fn std_devs(&self) -> Vector6<f64> {
+        self.variance().map(f64::sqrt)
+    }
+
+    /// The same error in other axes: `Σ' = Ad_X Σ Ad_Xᵀ` with `X = other_from_self`.
+    pub fn transported(&self, other_from_self: &Pose) -> Self {
+        let adjoint = other_from_self.adjoint();
+        Self(adjoint * self.0 * adjoint.transpose())
+    }
+
+    /// The covariance of the right perturbation of the same measurement: `Ad_{T⁻¹} Σ Ad_{T⁻¹}ᵀ`,
+    /// axes of the target frame.
+    pub fn right_of(&self, source_from_target: &Pose) -> Self {
+        self.transported(&source_from_target.inverse())
+    }
+
+    /// Squared Mahalanobis distance `eᵀ R⁻¹ e`; `None` when the covariance is singular.
+    pub fn mahalanobis_squared(&self, error: &Tangent) -> Option<f64> {
+        self.0.cholesky().map(|factor| error.dot(&factor.solve(error)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use approx::assert_relative_eq;
+    use rand::{RngExt, SeedableRng};
+
+    use super::*;
+
+    #[test]
+    fn transport_there_and_back_returns_the_covariance() {
+        let covariance = Covariance6::from_std_devs(&Vector6::new(0.1, 0.2, 0.3, 0.01, 0.02, 0.03));
+        let pose = Pose::exp(&Tangent::new(1.0, -2.0, 3.0, 0.3, -0.2, 0.9));
+        let back = covariance.transported(&pose).transported(&pose.inverse());
+        assert_relative_eq!(back.matrix(), covariance.matrix(), epsilon = 1e-12);
+    }
+
+    #[test]
+    fn right_covariance_is_that_of_the_right_perturbation() {
+        let truth = Pose::exp(&Tangent::new(1.0, 0.1, -0.2, 0.02, -0.05, 0.3));
+        let std_devs = Vector6::new(1e-4, 2e-4, 3e-4, 4e-5, 5e-5, 6e-5);
+        let left = Covariance6::from_std_devs(&std_devs);
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(7);
+        let draws = 20_000;
+        let mut scatter = Matrix6::zeros();
+        for _ in 0..draws {
+            // A uniform variable on ±√3 σ has standard deviation σ.
+            let error = std_devs.map(|std_dev| std_dev * 3f64.sqrt() * random.random_range(-1.0..1.0));
+            let measured = Pose::exp(&error) * truth;
+            let right = (measured.inverse() * truth).log();
+            scatter += right * right.transpose() / draws as f64;
+        }
+        let expected = left.right_of(&truth);
+        for index in 0..6 {
+            assert_relative_eq!(scatter[(index, index)], expected.matrix()[(index, index)], max_relative = 0.05);
+        }
+    }
+
+    #[test]
+    fn matrices_that_are_no_covariance_are_named() {
+        let mut matrix = Matrix6::identity();
+        matrix[(0, 1)] = 0.5;
+        assert_eq!(Covariance6::from_matrix(matrix), Err(CovarianceError::NotSymmetric(0, 1)));
+        matrix[(1, 0)] = f64::NAN;
+        assert!(matches!(Covariance6::from_matrix(matrix), Err(CovarianceError::NotSymmetric(..) | CovarianceError::NotFinite(..))));
+        assert!(matches!(Covariance6::from_matrix(-Matrix6::identity()), Err(CovarianceError::NegativeVariance(_))));
+    }
+}

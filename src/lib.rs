@@ -1,0 +1,42 @@
+//! Error bars for any relative-pose measurement.
+//!
+//! Two camera images and the relative pose that some system (visual odometry, GNSS, wheels, ICP, …)
+//! measured between them go in; the 6x6 covariance of that measurement comes out. Image i is warped
+//! into view i+1 by the measured pose and a depth map; a small network looks at both and predicts
+//! six log-variances, trained by the Gaussian likelihood of real errors.
+//!
+//! | to | see |
+//! |---|---|
+//! | predict a covariance with a trained model | [`Model`] |
+//! | know what order, side, frame and unit a number has | [`geometry`] |
+//! | train | [`training::Learner`], or `relcov train` |
+//! | judge a model | [`evaluation`], or `relcov eval` |
+//! | read the method | [`model`], [`warp`], [`network`], [`loss`] |
+//!
+//! Data flow one way: [`data`] (with [`systems`] and [`depth`]) → [`warp`] → [`network`] → [`loss`] →
+//! [`training`] → [`evaluation`] → [`report`]. Two worlds meet at two doors: [`data::PairBatch`] takes
+//! f64 poses to f32 tensors, [`evaluation::predict_split`] and [`Model::predict`] bring them back.
+#![warn(missing_docs)]
+
+pub mod config;
+pub mod data;
+pub mod depth;
+pub mod device;
+pub mod error;
+pub mod evaluation;
+pub mod geometry;
+pub mod loss;
+pub mod model;
+pub mod network;
+mod predict;
+pub mod report;
+pub mod systems;
+pub mod training;
+pub mod warp;
+
+pub use error::{Error, Result};
+pub use geometry::Covariance6;
+pub use predict::{Measurement, Model};
+
+#[doc(hidden)]
+pub mod cli;

@@ -1,0 +1,5 @@
+//! The `relcov` command.
+
+fn main() -> std::process::ExitCode {
+    relcov::cli::run()
+}

@@ -1,0 +1,112 @@
+//! The covariance-prediction network of the paper's Table I.
+//!
+//! Images in, log-variances out. Knows nothing of poses, datasets or the loss.
+
+use burn::module::{Module, Param};
+use burn::nn::conv::{Conv2d, Conv2dConfig};
+use burn::nn::{Dropout, DropoutConfig, Linear, LinearConfig, PaddingConfig2d};
+use burn::tensor::activation::relu;
+use burn::tensor::{Device, Tensor};
+
+/// Table I: kernel size, stride and outputs of c1…c5.
+const CONVOLUTIONS: [(usize, usize, usize); 5] = [(5, 2, 64), (5, 2, 128), (3, 2, 256), (3, 2, 512), (3, 1, 1024)];
+/// Table I: outputs of fc1.
+const HIDDEN_UNITS: usize = 128;
+/// Table I: outputs of fc2, one log-variance a component.
+const OUTPUTS: usize = 6;
+
+/// Shape of a [`CovarianceNetwork`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct CovarianceNetworkConfig {
+    /// Channels of the concatenated images: 6 for two colour images.
+    pub channels: usize,
+    /// Input height, px.
+    pub height: usize,
+    /// Input width, px.
+    pub width: usize,
+    /// Probability of zeroing an output of a convolutional layer in training (paper Section V-A: 0.5).
+    pub dropout: f64,
+}
+
+/// Maps two images to the six log-variances d of `R = D(exp(d))` (paper Table I, architecture of its [7]).
+///
+/// Departures, where the paper is silent: ReLU after every layer but the last, zero padding of half
+/// the kernel, dropout after the activation of each convolution.
+#[derive(Module, Debug)]
+pub struct CovarianceNetwork {
+    c1: Conv2d,
+    c2: Conv2d,
+    c3: Conv2d,
+    c4: Conv2d,
+    c5: Conv2d,
+    fc1: Linear,
+    fc2: Linear,
+    dropout: Dropout,
+}
+
+impl CovarianceNetworkConfig {
+    /// Builds the network with random weights; the last layer starts as a constant.
+    ///
+    /// fc2 has zero weights and the bias `initial_log_variance`, so that the first prediction for
+    /// every pair is the covariance of the training set.
+    pub fn init(&self, initial_log_variance: [f64; OUTPUTS], device: &Device) -> CovarianceNetwork {
+        let mut channels = self.channels;
+        let [c1, c2, c3, c4, c5] = CONVOLUTIONS.map(|(kernel, stride, outputs)| {
+            let inputs = std::mem::replace(&mut channels, outputs);
+            let pad = kernel / 2;
+            Conv2dConfig::new([inputs, outputs], [kernel, kernel])
+                .with_stride([stride, stride])
+                .with_padding(PaddingConfig2d::Explicit(pad, pad, pad, pad))
+                .init(device)
+        });
+        let mut fc2 = LinearConfig::new(HIDDEN_UNITS, OUTPUTS).init(device);
+        fc2.weight = Param::from_tensor(Tensor::zeros([HIDDEN_UNITS, OUTPUTS], device)).set_require_grad(true);
+        fc2.bias = Some(Param::from_tensor(Tensor::<1>::from_floats(initial_log_variance.map(|d| d as f32), device)).set_require_grad(true));
+        CovarianceNetwork {
+            c1,
+            c2,
+            c3,
+            c4,
+            c5,
+            fc1: LinearConfig::new(self.features(), HIDDEN_UNITS).init(device),
+            fc2,
+            dropout: DropoutConfig::new(self.dropout).init(),
+        }
+    }
+
+    /// Values that reach fc1: outputs of c5 times its height and width.
+    pub fn features(&self) -> usize {
+        let size = |input: usize| {
+            CONVOLUTIONS.iter().fold(input, |size, &(kernel, stride, _)| (size + 2 * (kernel / 2) - kernel) / stride + 1)
+        };
+        let (_, _, outputs) = CONVOLUTIONS[CONVOLUTIONS.len() - 1];
+        outputs * size(self.height) * size(self.width)
+    }
+}
+
+impl CovarianceNetwork {
+    /// Predicts log-variances.
+    ///
+    /// # Shapes
+    /// - `images`: `[batch, channels, height, width]`
+    /// - returns: `[batch, 6]`, d; order ρ then φ, ln m² and ln rad²
+    pub fn forward(&self, images: Tensor<4>) -> Tensor<2> {
+        let features = self.features(images).into_iter().last().expect("five layers");
+        let hidden = relu(self.fc1.forward(features.flatten::<2>(1, 3)));
+        self.fc2.forward(hidden)
+    }
+
+    /// The activations of c1…c5, each `[batch, outputs, height, width]`.
+    pub fn features(&self, images: Tensor<4>) -> [Tensor<4>; 5] {
+        let mut activation = images;
+        [&self.c1, &self.c2, &self.c3, &self.c4, &self.c5].map(|convolution| {
+            activation = self.dropout.forward(relu(convolution.forward(activation.clone())));
+            activation.clone()
+        })
+    }
+
+    /// Whether its weights live on a device that records gradients.
+    pub fn is_training(&self) -> bool {
+        self.fc2.weight.device().is_autodiff()
+    }
+}

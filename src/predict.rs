@@ -1,0 +1,148 @@
+//! A trained model as a library: one measurement in, its covariance out.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use burn::tensor::Device;
+use nalgebra::Vector6;
+
+use crate::data::{PairBatch, PairSample, RgbImage};
+use crate::depth::DepthMap;
+use crate::error::{Error, Result};
+use crate::geometry::{Covariance6, ErrorFrame, Pinhole, Pose, Tangent};
+use crate::model::{Architecture, CovarianceModel};
+use crate::training::RunFolder;
+
+/// A model ready to predict.
+///
+/// ```no_run
+/// use relcov::data::read_image;
+/// use relcov::{Measurement, Model, depth, device, geometry};
+///
+/// # fn main() -> relcov::Result<()> {
+/// let model = Model::load("checkpoints/kitti_sample", &device::open_device("auto")?)?;
+/// let camera = geometry::Pinhole { fx: 707.1, fy: 707.1, cx: 601.9, cy: 183.1, width: 1226, height: 370 };
+/// let covariance = model.predict(&Measurement {
+///     source_image: read_image("frame0.png".as_ref())?,
+///     target_image: read_image("frame1.png".as_ref())?,
+///     target_depth: depth::ground_plane_depth(&camera, 1.65, None, 80.0),
+///     camera,
+///     source_from_target: geometry::Pose::exp(&geometry::Tangent::new(0.0, 0.0, 0.9, 0.0, 0.0, 0.0)),
+/// })?;
+/// println!("σ = {} (m, rad; {} axes)", covariance.std_devs(), model.error_frame().name());
+/// # Ok(())
+/// # }
+/// ```
+pub struct Model {
+    architecture: Architecture,
+    error_frame: ErrorFrame,
+    network: CovarianceModel,
+    device: Device,
+}
+
+/// A relative-pose measurement with what is needed to judge it.
+#[derive(Clone, Debug)]
+pub struct Measurement {
+    /// `I_i`, any size (that of `camera`).
+    pub source_image: RgbImage,
+    /// `I_{i+1}`, the same size.
+    pub target_image: RgbImage,
+    /// Depth of the target image, m along the optical axis, 0 = unknown; any size.
+    pub target_depth: DepthMap,
+    /// Intrinsics of both images at their size.
+    pub camera: Pinhole,
+    /// Measured `ⁱT̂ᵢ₊₁` in axes of this camera (x right, y down, z forward), m.
+    pub source_from_target: Pose,
+}
+
+impl Model {
+    /// Loads the best model of a run folder.
+    ///
+    /// # Errors
+    /// The folder holds no usable run, or its conventions are not this program's.
+    pub fn load(run: impl AsRef<Path>, device: &Device) -> Result<Self> {
+        let run = RunFolder::open(run.as_ref())?;
+        let manifest = run.manifest()?;
+        let network = run.load_model(&manifest, device)?;
+        Ok(Self {
+            architecture: manifest.architecture,
+            error_frame: manifest.conventions.error_frame,
+            network,
+            device: device.clone(),
+        })
+    }
+
+    /// A model that was never trained: predicts `log_variance` (ln m², ln rad²) for every pair.
+    ///
+    /// ```
+    /// use relcov::data::RgbImage;
+    /// use relcov::geometry::{ErrorFrame, Pinhole, Pose};
+    /// use relcov::model::{Architecture, InputBasis};
+    /// use relcov::{Measurement, Model, depth, device};
+    ///
+    /// # fn main() -> relcov::Result<()> {
+    /// let architecture = Architecture { width: 32, height: 16, input: InputBasis::Pair, dropout: 0.5, log_variance_floor: None };
+    /// let model = Model::untrained(architecture, ErrorFrame::Vehicle, [-4.0; 6], &device::open_device("flex")?);
+    ///
+    /// let camera = Pinhole { fx: 40.0, fy: 40.0, cx: 31.5, cy: 15.5, width: 64, height: 32 };
+    /// let grey = RgbImage { width: 64, height: 32, bytes: vec![128; 3 * 64 * 32] };
+    /// let covariance = model.predict(&Measurement {
+    ///     source_image: grey.clone(),
+    ///     target_image: grey,
+    ///     target_depth: depth::ground_plane_depth(&camera, 1.65, None, 80.0),
+    ///     camera,
+    ///     source_from_target: Pose::identity(),
+    /// })?;
+    /// assert!((covariance.variance()[0].ln() + 4.0).abs() < 1e-5);
+    /// # Ok(())
+    /// # }
+    /// ```
+    pub fn untrained(architecture: Architecture, error_frame: ErrorFrame, log_variance: [f64; 6], device: &Device) -> Self {
+        let network = architecture.init(log_variance, device);
+        Self { architecture, error_frame, network, device: device.clone() }
+    }
+
+    /// Axes in which predicted covariances are expressed.
+    pub fn error_frame(&self) -> ErrorFrame {
+        self.error_frame
+    }
+
+    /// Predicts the covariance of a measurement: of `e = log(T̂ T⁻¹)`, order ρ then φ, m² and rad²,
+    /// in axes of [`Model::error_frame`].
+    ///
+    /// # Errors
+    /// Images do not have the camera's size, or the pose or intrinsics are not finite.
+    pub fn predict(&self, measurement: &Measurement) -> Result<Covariance6> {
+        let sample = self.prepare(measurement)?;
+        let log_variance = self.network.forward(&PairBatch::new(&[sample], &self.device));
+        let data = log_variance.try_into_data().map_err(|error| Error::Training(format!("the device failed: {error:?}")))?;
+        Ok(Covariance6::from_log_variances(&Vector6::from_iterator(data.iter::<f64>())))
+    }
+
+    fn prepare(&self, measurement: &Measurement) -> Result<PairSample> {
+        let Measurement { source_image, target_image, target_depth, camera, source_from_target } = measurement;
+        for (name, width, height) in [
+            ("source image", source_image.width, source_image.height),
+            ("target image", target_image.width, target_image.height),
+        ] {
+            if (width, height) != (camera.width, camera.height) {
+                return Err(Error::Data(format!(
+                    "the {name} has {width}x{height} pixels and the camera {}x{}; give intrinsics of the image's size",
+                    camera.width, camera.height
+                )));
+            }
+        }
+        if [camera.fx, camera.fy].iter().any(|&focal| !(focal > 0.0 && focal.is_finite())) || !source_from_target.is_finite() {
+            return Err(Error::Data("the measurement's focal lengths must be positive and its pose finite".to_owned()));
+        }
+        let (width, height) = (self.architecture.width, self.architecture.height);
+        Ok(PairSample {
+            source_image: Arc::new(source_image.clone().resized(width, height)),
+            target_image: Arc::new(target_image.clone().resized(width, height)),
+            target_depth: Arc::new(target_depth.resized(width, height)),
+            camera: camera.resized(width, height),
+            source_from_target: *source_from_target,
+            error: Tangent::zeros(),
+        })
+    }
+}

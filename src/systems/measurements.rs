@@ -1,0 +1,102 @@
+//! Measured relative poses of a drive, from whatever source a configuration names.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use super::relative::parse_relative_poses;
+use super::sequences::odometry_sequence;
+use super::trajectory::{Trajectory, parse_kitti_trajectory, parse_tum_trajectory};
+use crate::config::{MeasurementFrame, SystemSource, TrajectoryConfig, TrajectoryFormat, TruthConfig};
+use crate::data::Drive;
+use crate::error::{Result, read_text};
+use crate::geometry::Pose;
+
+/// Largest distance in time between a TUM row and the frame it belongs to, s: a fifth of KITTI's period.
+const TUM_TOLERANCE_S: f64 = 0.02;
+
+/// One system's relative poses on one drive.
+#[derive(Clone, Debug)]
+pub struct Measurements {
+    /// The body whose motion they are.
+    pub frame: MeasurementFrame,
+    /// `source_from_target` by source and target frame.
+    pub relative_poses: BTreeMap<(usize, usize), Pose>,
+    /// The file that was looked for and is not there.
+    pub missing_file: Option<PathBuf>,
+}
+
+/// Poses `world_from_vehicle` that count as true.
+///
+/// # Errors
+/// The trajectory file is malformed. A file that does not exist gives no poses.
+pub fn load_true_poses(truth: &TruthConfig, drive: &Drive, root: &Path) -> Result<Trajectory> {
+    match truth {
+        TruthConfig::Oxts => Ok(drive.oxts_poses.clone()),
+        TruthConfig::Trajectory(config) => {
+            let calibration = &drive.calibration;
+            let body_from_vehicle = calibration.camera2_from(config.frame).inverse() * calibration.camera2_from_vehicle;
+            let poses = load_trajectory(config, drive, root)?.unwrap_or_default();
+            Ok(poses.into_iter().map(|(frame, world_from_body)| (frame, world_from_body * body_from_vehicle)).collect())
+        }
+    }
+}
+
+/// Measured relative poses of one system on one drive.
+///
+/// # Errors
+/// The measurement file is malformed. A file that does not exist gives no measurements and is named
+/// in the result.
+pub fn load_measurements(source: &SystemSource, drive: &Drive, root: &Path, true_poses: &Trajectory) -> Result<Measurements> {
+    let found = |frame, relative_poses| Measurements { frame, relative_poses, missing_file: None };
+    let missing = |frame, path| Measurements { frame, relative_poses: BTreeMap::new(), missing_file: Some(path) };
+    Ok(match source {
+        SystemSource::Truth => found(MeasurementFrame::Vehicle, consecutive(true_poses)),
+        SystemSource::Oxts => found(MeasurementFrame::Vehicle, consecutive(&drive.oxts_poses)),
+        SystemSource::Trajectory(config) => match load_trajectory(config, drive, root)? {
+            Some(trajectory) => found(config.frame, consecutive(&trajectory)),
+            None => missing(config.frame, expand(&config.path, drive, root)),
+        },
+        SystemSource::Relative(config) => {
+            let path = expand(&config.path, drive, root);
+            if !path.is_file() {
+                return Ok(missing(config.frame, path));
+            }
+            let poses = parse_relative_poses(&read_text(&path)?, &path)?;
+            found(config.frame, poses.into_iter().map(|pose| ((pose.source, pose.target), pose.source_from_target)).collect())
+        }
+    })
+}
+
+fn load_trajectory(config: &TrajectoryConfig, drive: &Drive, root: &Path) -> Result<Option<Trajectory>> {
+    let path = expand(&config.path, drive, root);
+    if !path.is_file() {
+        return Ok(None);
+    }
+    let text = read_text(&path)?;
+    let trajectory = match config.format {
+        TrajectoryFormat::Kitti => {
+            let by_sequence = config.path.contains("{sequence}");
+            let first_frame = odometry_sequence(drive.short_name()).filter(|_| by_sequence).map_or(0, |cut| cut.first_frame);
+            parse_kitti_trajectory(&text, &path, first_frame)?
+        }
+        TrajectoryFormat::Tum => parse_tum_trajectory(&text, &path, &drive.timestamps_s, TUM_TOLERANCE_S)?,
+    };
+    Ok(Some(trajectory))
+}
+
+/// Motions between neighbouring frames.
+fn consecutive(trajectory: &Trajectory) -> BTreeMap<(usize, usize), Pose> {
+    trajectory
+        .iter()
+        .filter_map(|(&source, world_from_source)| {
+            let target = source + 1;
+            let world_from_target = trajectory.get(&target)?;
+            Some(((source, target), world_from_source.inverse() * *world_from_target))
+        })
+        .collect()
+}
+
+fn expand(template: &str, drive: &Drive, root: &Path) -> PathBuf {
+    let sequence = odometry_sequence(drive.short_name()).map_or("none", |sequence| sequence.number);
+    root.join(template.replace("{drive}", drive.short_name()).replace("{date}", drive.date()).replace("{sequence}", sequence))
+}

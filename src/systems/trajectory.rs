@@ -1,0 +1,189 @@
+//! Files of absolute poses: KITTI rows of 12 or 13 numbers, and TUM.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use nalgebra::{Matrix3x4, Quaternion, Rotation3, UnitQuaternion, Vector3};
+
+use crate::error::{Error, Place, Result, parse_numbers};
+use crate::geometry::Pose;
+
+/// Largest `|RᵀR − I|` of a rotation in a trajectory file (files with six digits exist).
+const ROTATION_TOLERANCE: f64 = 1e-3;
+/// Largest deviation of a quaternion's norm from 1.
+const QUATERNION_TOLERANCE: f64 = 1e-2;
+
+/// Absolute poses `world_from_body` by frame index.
+pub type Trajectory = BTreeMap<usize, Pose>;
+
+/// Parses KITTI rows: 12 numbers (3x4, row-major), or 13 with a leading frame index.
+///
+/// Rows without an index are frames `first_frame`, `first_frame + 1`, …
+///
+/// # Errors
+/// Wrong count, a number that is not finite, a matrix that is no rotation, an index that is not
+/// larger than the one before; the message names the line.
+pub fn parse_kitti_trajectory(text: &str, path: &Path, first_frame: usize) -> Result<Trajectory> {
+    let mut trajectory = Trajectory::new();
+    let mut columns = None;
+    for (index, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
+        let place = Place::Line(index + 1);
+        let malformed = |found: String, expected: &str| Error::malformed(path, place.clone(), found, expected);
+        let values = parse_numbers(line, path, &place)?;
+        let expected_columns = *columns.get_or_insert(values.len());
+        if !matches!(values.len(), 12 | 13) || values.len() != expected_columns {
+            return Err(malformed(
+                format!("{} numbers", values.len()),
+                "12 (a 3x4 pose), or 13 with a leading frame index, the same in every row",
+            ));
+        }
+        let (frame, matrix) = match values.len() {
+            12 => (first_frame + trajectory.len(), &values[..]),
+            _ => (parse_frame_index(values[0], path, &place)?, &values[1..]),
+        };
+        if let Some((&last, _)) = trajectory.last_key_value()
+            && frame <= last
+        {
+            return Err(malformed(format!("frame {frame} after frame {last}"), "increasing frame indices, each once"));
+        }
+        let matrix = Matrix3x4::from_row_slice(matrix);
+        let pose = Pose::from_rounded_parts(matrix.fixed_columns::<3>(0).into(), matrix.column(3).into(), ROTATION_TOLERANCE)
+            .map_err(|deviation| malformed(format!("|RᵀR − I| = {deviation:.1e}"), "a rotation matrix in the left 3x3 block"))?;
+        trajectory.insert(frame, pose);
+    }
+    Ok(trajectory)
+}
+
+/// Parses TUM rows `t x y z qx qy qz qw` and matches them to frames by time.
+///
+/// A row belongs to the frame nearest in time, within `tolerance_s`; other rows are left out.
+///
+/// # Errors
+/// Wrong count, numbers that are not finite, a quaternion far from unit length, times that do not
+/// increase; or not one row belongs to a frame.
+pub fn parse_tum_trajectory(
+    text: &str,
+    path: &Path,
+    frame_times_s: &BTreeMap<usize, f64>,
+    tolerance_s: f64,
+) -> Result<Trajectory> {
+    let mut frames: Vec<(f64, usize)> = frame_times_s.iter().map(|(&frame, &time)| (time, frame)).collect();
+    frames.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut trajectory = Trajectory::new();
+    let mut last_time = f64::NEG_INFINITY;
+    let mut rows = 0;
+    for (index, line) in text.lines().enumerate() {
+        if line.trim().is_empty() || line.trim_start().starts_with('#') {
+            continue;
+        }
+        let place = Place::Line(index + 1);
+        let values = parse_numbers(line, path, &place)?;
+        let &[time, x, y, z, qx, qy, qz, qw] = values.as_slice() else {
+            return Err(Error::malformed(path, place, format!("{} numbers", values.len()), "8: t x y z qx qy qz qw"));
+        };
+        if time <= last_time {
+            return Err(Error::malformed(path, place, format!("time {time} after {last_time}"), "increasing times"));
+        }
+        last_time = time;
+        rows += 1;
+        let pose = pose_from_quaternion(Vector3::new(x, y, z), [qx, qy, qz, qw], path, &place)?;
+        let after = frames.partition_point(|&(frame_time, _)| frame_time < time);
+        let nearest = frames[after.saturating_sub(1)..frames.len().min(after + 1)]
+            .iter()
+            .min_by(|a, b| (a.0 - time).abs().total_cmp(&(b.0 - time).abs()));
+        if let Some(&(frame_time, frame)) = nearest
+            && (frame_time - time).abs() <= tolerance_s
+        {
+            trajectory.insert(frame, pose);
+        }
+    }
+    if rows > 0 && trajectory.is_empty() {
+        return Err(Error::malformed(
+            path,
+            Place::Whole,
+            format!("{rows} poses, none within {tolerance_s} s of a frame"),
+            "times in seconds since 1970, as in the drive's timestamps.txt",
+        ));
+    }
+    Ok(trajectory)
+}
+
+/// A frame index written among numbers.
+pub(super) fn parse_frame_index(value: f64, path: &Path, place: &Place) -> Result<usize> {
+    if value >= 0.0 && value.fract() == 0.0 && value < 1e9 {
+        Ok(value as usize)
+    } else {
+        Err(Error::malformed(path, place.clone(), format!("frame index {value}"), "a whole number from 0"))
+    }
+}
+
+/// A pose from translation and quaternion `x y z w`, which is normalised.
+pub(super) fn pose_from_quaternion(translation: Vector3<f64>, [x, y, z, w]: [f64; 4], path: &Path, place: &Place) -> Result<Pose> {
+    let quaternion = Quaternion::new(w, x, y, z);
+    let norm = quaternion.norm();
+    if (norm - 1.0).abs() > QUATERNION_TOLERANCE {
+        return Err(Error::malformed(path, place.clone(), format!("a quaternion of length {norm:.4}"), "qx qy qz qw of length 1"));
+    }
+    let rotation: Rotation3<f64> = UnitQuaternion::from_quaternion(quaternion).to_rotation_matrix();
+    Ok(Pose::new(rotation, translation))
+}
+
+#[cfg(test)]
+mod tests {
+    use approx::assert_relative_eq;
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::geometry::Tangent;
+
+    const IDENTITY_ROW: &str = "1 0 0 0 0 1 0 0 0 0 1 0";
+
+    fn parse(text: &str) -> Result<Trajectory> {
+        parse_kitti_trajectory(text, Path::new("poses.txt"), 0)
+    }
+
+    proptest! {
+        #[test]
+        fn printed_poses_come_back(values in prop::array::uniform6(-2.0..2.0_f64), first in 0_usize..5000, indexed: bool) {
+            let pose = Pose::exp(&Tangent::from(values));
+            let m = pose.matrix();
+            let row: Vec<String> = (0..12).map(|k| format!("{:.12e}", m[(k / 4, k % 4)])).collect();
+            let prefix = if indexed { format!("{first} ") } else { String::new() };
+            let parsed = parse_kitti_trajectory(&format!("{prefix}{}\n", row.join(" ")), Path::new("p"), first).unwrap();
+            prop_assert!((parsed[&first].matrix() - m).norm() < 1e-9);
+        }
+
+        #[test]
+        fn no_text_makes_the_parsers_panic(text in "[-0-9.eEnaif \n#]{0,200}") {
+            let _ = parse(&text);
+            let _ = parse_tum_trajectory(&text, Path::new("p"), &BTreeMap::from([(0, 1.0)]), 0.1);
+        }
+    }
+
+    #[test]
+    fn errors_name_the_line() {
+        for (text, line, word) in [
+            (format!("{IDENTITY_ROW}\n1 2 3\n"), "line 2", "3 numbers"),
+            (format!("{IDENTITY_ROW}\n\n{}\n", IDENTITY_ROW.replace("1 0 0 0 0", "nan 0 0 0 0")), "line 3", "`nan`"),
+            (format!("2 {IDENTITY_ROW}\n2 {IDENTITY_ROW}\n"), "line 2", "frame 2 after frame 2"),
+            (format!("7 {IDENTITY_ROW}\n3 {IDENTITY_ROW}\n"), "line 2", "frame 3 after frame 7"),
+            (format!("{}\n", IDENTITY_ROW.replacen('1', "1.5", 1)), "line 1", "RᵀR"),
+            (format!("{}\n", IDENTITY_ROW.replacen('1', "-1", 1)), "line 1", "RᵀR"),
+            (format!("{IDENTITY_ROW}\n0 {IDENTITY_ROW}\n"), "line 2", "13 numbers"),
+        ] {
+            let message = parse(&text).unwrap_err().to_string();
+            assert!(message.contains(line) && message.contains(word), "{message}");
+        }
+    }
+
+    #[test]
+    fn tum_rows_find_their_frames_by_time() {
+        let frames = BTreeMap::from([(10, 100.0), (11, 100.1), (12, 100.2)]);
+        let text = "# t x y z qx qy qz qw\n99.0 0 0 0 0 0 0 1\n100.004 1 0 0 0 0 0 1\n100.195 2 0 0 0 0 0.7071068 0.7071068\n";
+        let trajectory = parse_tum_trajectory(text, Path::new("t"), &frames, 0.02).unwrap();
+        assert_eq!(trajectory.keys().copied().collect::<Vec<_>>(), [10, 12]);
+        assert_relative_eq!(trajectory[&12].log()[5], std::f64::consts::FRAC_PI_2, epsilon = 1e-6);
+        let far = BTreeMap::from([(0, 0.0)]);
+        assert!(parse_tum_trajectory(text, Path::new("t"), &far, 0.02).unwrap_err().to_string().contains("none within"));
+    }
+}

@@ -1,0 +1,65 @@
+//! `losses.svg`: training and evaluation loss of each system over the epochs.
+
+use plotters::prelude::*;
+
+use super::history::History;
+
+/// Size of the picture, px.
+const SIZE: (u32, u32) = (720, 420);
+
+/// Draws the loss curves; `None` before the first epoch is done.
+pub fn loss_curves(history: &History, systems: &[String]) -> Option<String> {
+    let curves: Vec<(String, bool, Vec<f64>)> = systems
+        .iter()
+        .enumerate()
+        .flat_map(|(index, name)| {
+            [
+                (format!("{name}, training"), false, history.training_losses(index)),
+                (format!("{name}, evaluation"), true, history.evaluation_losses(index)),
+            ]
+        })
+        .filter(|(_, _, losses)| !losses.is_empty())
+        .collect();
+    let finite = || curves.iter().flat_map(|(_, _, losses)| losses.iter().copied()).filter(|loss| loss.is_finite());
+    let (low, high) = (finite().reduce(f64::min)?, finite().reduce(f64::max)?);
+    let margin = (0.05 * (high - low)).max(0.1);
+
+    let mut svg = String::new();
+    draw(&mut svg, &curves, history.rows.len(), low - margin..high + margin)
+        .unwrap_or_else(|error| tracing::warn!("losses.svg could not be drawn: {error}"));
+    Some(svg)
+}
+
+fn draw(
+    svg: &mut String,
+    curves: &[(String, bool, Vec<f64>)],
+    epochs: usize,
+    losses: std::ops::Range<f64>,
+) -> Result<(), Box<dyn std::error::Error>> {
+    let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
+    root.fill(&WHITE)?;
+    let mut chart = ChartBuilder::on(&root)
+        .caption("Loss (Eq. 7, mean over pairs)", ("sans-serif", 18))
+        .margin(12)
+        .x_label_area_size(36)
+        .y_label_area_size(56)
+        .build_cartesian_2d(1.0..(epochs.max(2) as f64), losses)?;
+    chart.configure_mesh().x_desc("epoch").y_desc("nats").light_line_style(WHITE.mix(0.0)).draw()?;
+    for (index, (name, dashed, losses)) in curves.iter().enumerate() {
+        let style = Palette99::pick(index / 2).stroke_width(2);
+        let points = losses.iter().enumerate().map(|(epoch, &loss)| (epoch as f64 + 1.0, loss));
+        let series = if *dashed {
+            chart.draw_series(DashedLineSeries::new(points, 6, 4, style))?
+        } else {
+            chart.draw_series(LineSeries::new(points, style))?
+        };
+        let dashed = *dashed;
+        series.label(name).legend(move |(x, y)| {
+            let end = if dashed { x + 8 } else { x + 18 };
+            PathElement::new(vec![(x, y), (end, y)], style)
+        });
+    }
+    chart.configure_series_labels().background_style(WHITE.mix(0.8)).border_style(BLACK.mix(0.3)).draw()?;
+    root.present()?;
+    Ok(())
+}

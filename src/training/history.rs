@@ -1,0 +1,72 @@
+//! What training has reached: one row an epoch, and the sums of the epoch under way.
+
+use serde::{Deserialize, Serialize};
+
+/// Losses of a finished epoch (paper Eq. 7, mean over pairs, for each system).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EpochRow {
+    /// Counted from 1.
+    pub epoch: usize,
+    /// Mini-batches since the start of training.
+    pub batches: usize,
+    /// Loss of each system over the epoch's mini-batches, dropout on.
+    pub training_loss: Vec<f64>,
+    /// Loss of each system on the watched split, dropout off; `None` for a system without pairs there.
+    pub evaluation_loss: Vec<Option<f64>>,
+    /// Share of predicted log-variances that sit on the floor, on the watched split.
+    pub at_floor: f64,
+    /// Training pairs per second, evaluation not counted.
+    pub pairs_per_second: f64,
+}
+
+/// Everything besides weights that a resumed run must know.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct History {
+    /// Mini-batches since the start of training.
+    pub batches: usize,
+    /// Finished epochs.
+    pub rows: Vec<EpochRow>,
+    /// Epoch of the lowest watched loss.
+    pub best_epoch: Option<usize>,
+    /// Whether training ended of itself; such a run has nothing left to resume.
+    pub finished: bool,
+    /// Sum of losses and number of pairs of each system in the epoch under way.
+    pub sums: Vec<(f64, usize)>,
+    /// Seconds spent on the epoch under way.
+    pub seconds: f64,
+}
+
+impl History {
+    /// Training losses of one system, an epoch each.
+    pub fn training_losses(&self, system: usize) -> Vec<f64> {
+        self.rows.iter().map(|row| row.training_loss[system]).collect()
+    }
+
+    /// Evaluation losses of one system, an epoch each.
+    pub fn evaluation_losses(&self, system: usize) -> Vec<f64> {
+        self.rows.iter().filter_map(|row| row.evaluation_loss[system]).collect()
+    }
+
+    /// Adds a pair's loss to the epoch under way.
+    pub fn add(&mut self, system: usize, loss: f64) {
+        let (sum, pairs) = &mut self.sums[system];
+        *sum += loss;
+        *pairs += 1;
+    }
+
+    /// The table `metrics.csv`: one row an epoch, losses in nats.
+    pub fn to_csv(&self, systems: &[String]) -> String {
+        let losses = |kind: &str| systems.iter().map(|system| format!(",{kind}_loss_{system}")).collect::<String>();
+        let mut csv = format!("epoch,batches{}{},at_floor,pairs_per_second\n", losses("training"), losses("evaluation"));
+        for row in &self.rows {
+            let training: String = row.training_loss.iter().map(|loss| format!(",{loss:.6}")).collect();
+            let evaluation: String =
+                row.evaluation_loss.iter().map(|loss| loss.map_or(",".to_owned(), |loss| format!(",{loss:.6}"))).collect();
+            csv += &format!(
+                "{},{}{training}{evaluation},{:.4},{:.2}\n",
+                row.epoch, row.batches, row.at_floor, row.pairs_per_second
+            );
+        }
+        csv
+    }
+}

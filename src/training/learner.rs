@@ -1,0 +1,453 @@
+//! The learner: mini-batches of several systems, Adam, evaluation after each epoch, and a stop when
+//! training and evaluation loss diverge (paper Section V-A).
+//!
+//! Built on Burn's training interfaces ([`TrainStep`], gradient accumulation, optimiser records) with
+//! a loop of its own, because a run must resume in the middle of an epoch to the same result.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use burn::module::Module;
+use burn::optim::{AdamConfig, GradientsAccumulator, ModuleOptimizer};
+use burn::tensor::{Device, Tensor};
+use burn::train::TrainStep;
+
+use super::divergence::DivergenceRule;
+use super::history::{EpochRow, History};
+use super::run_folder::{Manifest, RunFolder, SystemSummary};
+use crate::config::{Config, MinLogVariance, WatchedSplit};
+use crate::data::{BatchLoader, Choice, Dataset, LoadedBatch, PairReader, SplitName};
+use crate::device::device_name;
+use crate::error::{Error, Result};
+use crate::evaluation::{Prediction, predict_split};
+use crate::geometry::Conventions;
+use crate::model::{Architecture, CovarianceModel, MicroBatch};
+use crate::systems::Mixer;
+
+/// Adam's ε: PyTorch's, as the paper's program had it (Burn's default is 1e-5).
+const ADAM_EPSILON: f32 = 1e-8;
+/// Least variance an initial log-variance stands for: that of a system without any error, ln m² or ln rad².
+const LEAST_MEAN_SQUARED_ERROR: f64 = 1e-16;
+/// Longest time between two saved states, so that a killed run loses little.
+const SAVE_EVERY: Duration = Duration::from_secs(600);
+
+/// What an observer is told.
+#[derive(Clone, Debug)]
+pub enum Event<'a> {
+    /// Training begins or continues.
+    Started {
+        /// Batches already done (0 for a new run).
+        batches_done: usize,
+        /// Batches in an epoch.
+        batches_per_epoch: usize,
+        /// Trainable weights.
+        parameters: usize,
+        /// Loss of the constant predictor on the watched split, for each system.
+        constant_loss: &'a [Option<f64>],
+    },
+    /// A mini-batch was learned.
+    Batch {
+        /// Counted from 1.
+        epoch: usize,
+        /// Of the epoch, counted from 1.
+        batch: usize,
+        /// Pairs learned per second in this epoch.
+        pairs_per_second: f64,
+        /// Mean loss of the batch.
+        loss: f64,
+    },
+    /// An epoch was finished and saved.
+    Epoch {
+        /// Its losses.
+        row: &'a EpochRow,
+        /// Whether it is the best so far.
+        best: bool,
+    },
+}
+
+/// How a training ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Outcome {
+    /// Why.
+    pub reason: StopReason,
+    /// Finished epochs.
+    pub epochs: usize,
+    /// The epoch whose model was kept.
+    pub best_epoch: usize,
+}
+
+/// Why a training ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StopReason {
+    /// Training and evaluation loss diverged.
+    Diverged,
+    /// All epochs were done.
+    AllEpochs,
+}
+
+/// Trains a [`CovarianceModel`] and keeps its best state in a run folder.
+pub struct Learner {
+    config: Config,
+    dataset: Arc<Dataset>,
+    reader: Arc<PairReader>,
+    device: Device,
+    run: RunFolder,
+    model: CovarianceModel,
+    optimiser: ModuleOptimizer,
+    history: History,
+    constant_loss: Vec<Option<f64>>,
+    interrupt: Arc<AtomicBool>,
+}
+
+impl Learner {
+    /// Begins a run: builds the model and writes the run folder's description.
+    ///
+    /// # Errors
+    /// A split is empty, or the folder holds a run already or cannot be written.
+    pub fn start(config: Config, dataset: Arc<Dataset>, device: &Device, replace: bool) -> Result<Self> {
+        dataset.require(SplitName::Train)?;
+        let manifest = describe(&config, &dataset, device);
+        let learner = Self::new(config, dataset, &manifest, device, |path| RunFolder::create(path, replace))?;
+        learner.run.write_description(&learner.config, &manifest)?;
+        Ok(learner)
+    }
+
+    /// Continues a run from its newest state.
+    ///
+    /// # Errors
+    /// The folder holds no state, or was made from other data or for another architecture.
+    pub fn resume(config: Config, dataset: Arc<Dataset>, device: &Device, run: RunFolder) -> Result<Self> {
+        dataset.require(SplitName::Train)?;
+        let manifest = run.manifest()?;
+        let now = describe(&config, &dataset, device);
+        if manifest.data_fingerprint != now.data_fingerprint {
+            return Err(Error::run(run.path(), "was started with other data (pairs or errors differ); give it the same data, or start a new run"));
+        }
+        if manifest.architecture != now.architecture || manifest.seed != now.seed {
+            return Err(Error::run(run.path(), "was started with another model or seed; start a new run for those"));
+        }
+        let mut learner = Self::new(config, dataset, &manifest, device, |_| Ok(run))?;
+        let (model, optimiser, history) = learner.run.load_state(learner.model, learner.optimiser)?;
+        (learner.model, learner.optimiser, learner.history) = (model, optimiser, history);
+        learner.run.write_description(&learner.config, &manifest)?;
+        Ok(learner)
+    }
+
+    fn new(
+        config: Config,
+        dataset: Arc<Dataset>,
+        manifest: &Manifest,
+        device: &Device,
+        open: impl FnOnce(&std::path::Path) -> Result<RunFolder>,
+    ) -> Result<Self> {
+        let watched = watched_split(&config);
+        let system = watched_system(&config);
+        if dataset.split(watched).systems[system].is_empty() {
+            dataset.require(watched)?;
+        }
+        let run = open(&config.run_folder())?;
+        device.seed(config.seed);
+        let model = manifest.architecture.init(manifest.initial_log_variance, &device.clone().autodiff());
+        let optimiser = AdamConfig::new().with_epsilon(ADAM_EPSILON).init();
+        let systems = config.systems.len();
+        Ok(Self {
+            reader: Arc::new(PairReader::new(&config, &dataset)),
+            constant_loss: constant_loss(&dataset, watched, manifest),
+            device: device.clone(),
+            history: History { sums: vec![(0.0, 0); systems], ..History::default() },
+            interrupt: Arc::default(),
+            config,
+            dataset,
+            run,
+            model,
+            optimiser,
+        })
+    }
+
+    /// Set it to stop after the mini-batch under way; the state is saved.
+    pub fn interrupt_flag(&self) -> Arc<AtomicBool> {
+        self.interrupt.clone()
+    }
+
+    /// The run folder.
+    pub fn run(&self) -> &RunFolder {
+        &self.run
+    }
+
+    /// Reader of the pairs, which knows the bad frames.
+    pub fn reader(&self) -> &Arc<PairReader> {
+        &self.reader
+    }
+
+    /// Mini-batches in an epoch.
+    pub fn batches_per_epoch(&self) -> usize {
+        let once = self.dataset.train.systems[0].len().div_ceil(self.config.pairs_per_batch()[0]);
+        self.config.training.batches_per_epoch.unwrap_or(once)
+    }
+
+    /// Trains until the losses diverge or all epochs are done.
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`] after an interrupt, state saved; or data cannot be read, the loss is no
+    /// longer finite, or the run folder cannot be written.
+    pub fn train(&mut self, observer: &mut dyn FnMut(Event)) -> Result<Outcome> {
+        let batches_per_epoch = self.batches_per_epoch();
+        observer(Event::Started {
+            batches_done: self.history.batches,
+            batches_per_epoch,
+            parameters: self.model.num_params(),
+            constant_loss: &self.constant_loss,
+        });
+        let mut loader = self.spawn_loader()?;
+        let mut saved = Instant::now();
+        let mut reason = self.stop_reason();
+        while reason.is_none() {
+            let epoch = self.history.rows.len() + 1;
+            let epoch_end = epoch * batches_per_epoch;
+            while self.history.batches < epoch_end {
+                let loss = self.learn_batch(&mut loader)?;
+                let pairs: usize = self.history.sums.iter().map(|(_, pairs)| pairs).sum();
+                observer(Event::Batch {
+                    epoch,
+                    batch: self.history.batches + batches_per_epoch - epoch_end,
+                    pairs_per_second: pairs as f64 / self.history.seconds,
+                    loss,
+                });
+                let interrupted = self.interrupt.load(Ordering::Relaxed);
+                if interrupted || saved.elapsed() > SAVE_EVERY {
+                    self.save_state()?;
+                    saved = Instant::now();
+                }
+                if interrupted {
+                    return Err(Error::Interrupted);
+                }
+            }
+            let best = self.finish_epoch(epoch)?;
+            saved = Instant::now();
+            observer(Event::Epoch { row: self.history.rows.last().expect("just finished"), best });
+            reason = self.stop_reason();
+        }
+        self.history.finished = true;
+        self.save_state()?;
+        Ok(Outcome {
+            reason: reason.expect("the loop ends with one"),
+            epochs: self.history.rows.len(),
+            best_epoch: self.history.best_epoch.expect("at least one epoch"),
+        })
+    }
+
+    /// One step of Adam on the mean loss of a mini-batch, taken in micro-batches.
+    fn learn_batch(&mut self, loader: &mut BatchLoader) -> Result<f64> {
+        let begin = Instant::now();
+        let batch = self.history.batches;
+        let size = self.config.training.batch;
+        let mut gradients = GradientsAccumulator::new();
+        let mut losses: Vec<(usize, Tensor<1>)> = Vec::new();
+        let mut sources: Vec<usize> = Vec::new();
+        for part in 0..size.div_ceil(self.config.training.micro_batch) {
+            let LoadedBatch { pairs, numbers } =
+                loader.next().ok_or_else(|| Error::Training("the data loader ended early; its message stands above".to_owned()))??;
+            let numbers = numbers.expect("training pairs are substituted, never left out");
+            // Dropout is a function of seed, batch and part, so that a resumed run repeats it.
+            self.device.seed(step_seed(self.config.seed, batch, part));
+            let pairs_on_device = numbers.upload(&self.device);
+            let output = TrainStep::step(&self.model, MicroBatch { pairs: pairs_on_device, weight: 1.0 / size as f32 });
+            gradients.accumulate(&self.model, output.grads);
+            losses.push((pairs.len(), output.item.loss));
+            sources.extend(pairs);
+        }
+        let losses = self.read_losses(losses)?;
+        let mean = losses.iter().sum::<f64>() / size as f64;
+        if !mean.is_finite() {
+            return Err(Error::Training(format!(
+                "the loss of mini-batch {} is {mean}; the last saved state is kept. Lower training.learning_rate or set model.min_log_variance, then --resume",
+                batch + 1
+            )));
+        }
+        self.model = self.optimiser.step(self.config.training.learning_rate, self.model.clone(), gradients.grads());
+        for (pair, loss) in sources.into_iter().zip(losses) {
+            self.history.add(self.dataset.train.pairs[pair].system, loss);
+        }
+        self.history.batches += 1;
+        self.history.seconds += begin.elapsed().as_secs_f64();
+        Ok(mean)
+    }
+
+    fn read_losses(&self, losses: Vec<(usize, Tensor<1>)>) -> Result<Vec<f64>> {
+        let mut values = Vec::new();
+        for (_, loss) in losses {
+            let data = loss.try_into_data().map_err(|error| Error::Training(format!("the device failed: {error:?}")))?;
+            values.extend(data.iter::<f64>());
+        }
+        Ok(values)
+    }
+
+    /// Evaluates, keeps the best model, saves the state; whether this epoch is the best.
+    fn finish_epoch(&mut self, epoch: usize) -> Result<bool> {
+        let evaluation = self.evaluate()?;
+        let pairs: usize = self.history.sums.iter().map(|(_, pairs)| pairs).sum();
+        let systems = self.config.systems.len();
+        let mean = |loss: f64, pairs: usize| (pairs > 0).then(|| loss / pairs as f64);
+        let mut sums = vec![(0.0, 0); systems];
+        for (system, loss) in &evaluation.losses {
+            sums[*system].0 += loss;
+            sums[*system].1 += 1;
+        }
+        self.history.rows.push(EpochRow {
+            epoch,
+            batches: self.history.batches,
+            training_loss: self.history.sums.iter().map(|&(sum, pairs)| sum / pairs.max(1) as f64).collect(),
+            evaluation_loss: sums.into_iter().map(|(sum, pairs)| mean(sum, pairs)).collect(),
+            at_floor: evaluation.at_floor,
+            pairs_per_second: pairs as f64 / self.history.seconds,
+        });
+        self.history.sums = vec![(0.0, 0); systems];
+        self.history.seconds = 0.0;
+
+        let watched = self.history.evaluation_losses(watched_system(&self.config));
+        let newest = *watched.last().expect("the watched system has pairs");
+        let best = watched[..watched.len() - 1].iter().all(|&loss| newest < loss);
+        if best {
+            self.run.save_model(&self.model.valid())?;
+            self.history.best_epoch = Some(epoch);
+        }
+        self.save_state()?;
+        Ok(best)
+    }
+
+    fn evaluate(&self) -> Result<WatchedLosses> {
+        let split = self.dataset.split(watched_split(&self.config));
+        let predictions = predict_split(&self.model.valid(), &self.reader, split, &self.config.training, &self.device, &mut |_| {})?;
+        let floor = architecture(&self.config, &self.dataset).log_variance_floor;
+        Ok(WatchedLosses {
+            losses: predictions.iter().map(|prediction| (prediction.system, prediction.loss())).collect(),
+            at_floor: floor.map_or(0.0, |floor| crate::evaluation::share_at_floor(&predictions, &floor)),
+        })
+    }
+
+    fn stop_reason(&self) -> Option<StopReason> {
+        let system = watched_system(&self.config);
+        let rule = DivergenceRule::new(self.config.training.stop);
+        if rule.diverged(&self.history.training_losses(system), &self.history.evaluation_losses(system)) {
+            return Some(StopReason::Diverged);
+        }
+        (self.history.rows.len() >= self.config.training.epochs).then_some(StopReason::AllEpochs)
+    }
+
+    fn save_state(&self) -> Result<()> {
+        self.run.save_state(&self.model, &self.optimiser, &self.history, &self.dataset.systems)
+    }
+
+    /// Reads all mini-batches that are still to come, part by part.
+    fn spawn_loader(&self) -> Result<BatchLoader> {
+        let split = &self.dataset.train;
+        let ranges = split.systems.clone();
+        let counts = self.config.pairs_per_batch();
+        let mut mixer = Mixer::new(self.config.seed, ranges.clone().into_iter().zip(counts));
+        let systems: Vec<usize> = split.pairs.iter().map(|pair| pair.system).collect();
+        let micro_batch = self.config.training.micro_batch;
+        let requests = (self.history.batches..).flat_map(move |batch| {
+            let choices = mixer.plan(batch).pairs.into_iter();
+            let choices: Vec<Choice> =
+                choices.map(|pair| Choice { pair, substitutes: Some(ranges[systems[pair]].clone()) }).collect();
+            choices.chunks(micro_batch).map(<[Choice]>::to_vec).collect::<Vec<_>>()
+        });
+        let training = &self.config.training;
+        BatchLoader::spawn(self.reader.clone(), Arc::new(split.pairs.clone()), requests, training.loader_threads, training.prefetch)
+    }
+}
+
+struct WatchedLosses {
+    /// System and loss of each pair.
+    losses: Vec<(usize, f64)>,
+    at_floor: f64,
+}
+
+/// The model's shape: configuration plus the floor, which depends on the training errors.
+fn architecture(config: &Config, dataset: &Dataset) -> Architecture {
+    let mean = initial_log_variance(config, dataset);
+    Architecture {
+        height: config.model.height,
+        width: config.model.width,
+        input: config.model.input,
+        dropout: config.model.dropout,
+        log_variance_floor: match config.model.min_log_variance {
+            MinLogVariance::Off => None,
+            MinLogVariance::BelowMean(nats) => Some(mean.map(|d| d - nats)),
+            MinLogVariance::Absolute(floor) => Some(floor),
+        },
+    }
+}
+
+/// ln(mean e²) of the mixed training set: the best constant for its loss.
+fn initial_log_variance(config: &Config, dataset: &Dataset) -> [f64; 6] {
+    let mean: nalgebra::Vector6<f64> = config
+        .systems
+        .iter()
+        .enumerate()
+        .map(|(index, system)| system.share * dataset.train.mean_squared_error(index))
+        .sum();
+    mean.map(|value| value.max(LEAST_MEAN_SQUARED_ERROR).ln()).into()
+}
+
+fn describe(config: &Config, dataset: &Dataset, device: &Device) -> Manifest {
+    let systems = config.systems.iter().enumerate().map(|(index, system)| SystemSummary {
+        name: system.name.clone(),
+        share: system.share,
+        training_pairs: dataset.train.systems[index].len(),
+        mean_squared_error: dataset.train.mean_squared_error(index).into(),
+    });
+    Manifest::new(
+        device_name(device),
+        config.seed,
+        Conventions::new(config.data.error_frame),
+        architecture(config, dataset),
+        initial_log_variance(config, dataset),
+        systems.collect(),
+        dataset.fingerprint(),
+    )
+}
+
+/// Loss of the constant predictor of each system on the watched split.
+fn constant_loss(dataset: &Dataset, watched: SplitName, manifest: &Manifest) -> Vec<Option<f64>> {
+    let split = dataset.split(watched);
+    manifest
+        .systems
+        .iter()
+        .zip(&split.systems)
+        .map(|(system, range)| {
+            let usable = !range.is_empty() && system.mean_squared_error.iter().all(|&value| value > 0.0);
+            usable.then(|| {
+                let log_variance = system.mean_squared_error.map(f64::ln);
+                let losses = split.pairs[range.clone()].iter().map(|pair| {
+                    Prediction { pair: pair.id, system: pair.system, error: pair.error.into(), log_variance }.loss()
+                });
+                losses.sum::<f64>() / range.len() as f64
+            })
+        })
+        .collect()
+}
+
+fn watched_split(config: &Config) -> SplitName {
+    match config.training.watch {
+        WatchedSplit::Validation => SplitName::Validation,
+        WatchedSplit::Test => SplitName::Test,
+    }
+}
+
+fn watched_system(config: &Config) -> usize {
+    let name = config.training.watch_system.as_deref();
+    config.systems.iter().position(|system| Some(system.name.as_str()) == name).unwrap_or(0)
+}
+
+fn step_seed(seed: u64, batch: usize, part: usize) -> u64 {
+    // SplitMix64 of the three numbers.
+    let mixed = [batch as u64, part as u64].into_iter().fold(seed, |state, value| {
+        let mut z = (state ^ value).wrapping_add(0x9E37_79B9_7F4A_7C15);
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        z ^ (z >> 31)
+    });
+    mixed
+}

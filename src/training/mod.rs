@@ -1,0 +1,16 @@
+//! Training: the learner, the divergence rule that stops it, and the run folder it leaves behind.
+//!
+//! In: a [`Dataset`](crate::data::Dataset) and a [`Config`](crate::config::Config). Out: a run folder
+//! with the best model. Tells its observer what happens by typed [`Event`]s and never prints.
+
+mod curves;
+mod divergence;
+mod history;
+mod learner;
+mod run_folder;
+
+pub use divergence::DivergenceRule;
+pub use history::{EpochRow, History};
+pub use learner::{Event, Learner, Outcome, StopReason};
+pub(crate) use run_folder::write_atomically;
+pub use run_folder::{Manifest, RunFolder, SystemSummary};

@@ -1,0 +1,351 @@
+//! The run folder: configuration, manifest, best model, losses, and the state a resumed run needs.
+//!
+//! ```text
+//! checkpoints/NAME/
+//!   config.toml         the effective configuration
+//!   manifest.json       versions, conventions, architecture, data fingerprint, baselines
+//!   metrics.csv         one row an epoch
+//!   losses.svg          the same as a picture
+//!   model.safetensors   weights of the best epoch
+//!   state-N/            after N mini-batches: weights, optimiser, history (the newest only)
+//! ```
+//!
+//! Everything is written under a temporary name and renamed: whatever bears its final name is whole.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use burn::module::Module;
+use burn::optim::{ModuleOptimizer, OptimizerRecord};
+use burn::store::{ModuleRecord, ModuleSnapshot, SafetensorsStore};
+use burn::tensor::Device;
+use serde::{Deserialize, Serialize};
+use tempfile::NamedTempFile;
+
+use super::curves::loss_curves;
+use super::history::History;
+use crate::config::Config;
+use crate::error::{Error, Place, Result, read_text};
+use crate::geometry::Conventions;
+use crate::model::{Architecture, CovarianceModel};
+
+/// Version of the run folder's layout.
+const LAYOUT: u32 = 1;
+/// The pinned version of Burn, whose records the state files are.
+const BURN_VERSION: &str = "0.22.1";
+
+const CONFIG: &str = "config.toml";
+const MANIFEST: &str = "manifest.json";
+const METRICS: &str = "metrics.csv";
+const LOSSES: &str = "losses.svg";
+const MODEL: &str = "model.safetensors";
+const STATE_PREFIX: &str = "state-";
+const STATE_MODEL: &str = "model.bpk";
+const STATE_OPTIMISER: &str = "optimiser.bpk";
+const STATE_HISTORY: &str = "history.json";
+
+/// What a stored model depends on.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Manifest {
+    /// Version of the folder's layout.
+    pub layout: u32,
+    /// Version of this program.
+    pub relcov_version: String,
+    /// Commit it was built from, if known.
+    pub git_commit: Option<String>,
+    /// Version of Burn.
+    pub burn_version: String,
+    /// Backend the run was started on.
+    pub device: String,
+    /// Seed of the run.
+    pub seed: u64,
+    /// Order, units, frames of every number.
+    pub conventions: Conventions,
+    /// Shape of the model.
+    pub architecture: Architecture,
+    /// What every first prediction was: ln(mean e²) of the mixed training set.
+    pub initial_log_variance: [f64; 6],
+    /// The systems it was trained on.
+    pub systems: Vec<SystemSummary>,
+    /// Hash of all pairs and errors.
+    pub data_fingerprint: String,
+}
+
+/// A system as the training set shows it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SystemSummary {
+    /// Its name.
+    pub name: String,
+    /// Its share of each mini-batch.
+    pub share: f64,
+    /// Its training pairs.
+    pub training_pairs: usize,
+    /// Mean e² over them, m² and rad²: the constant baseline.
+    pub mean_squared_error: [f64; 6],
+}
+
+impl Manifest {
+    /// A manifest by this program, now.
+    pub fn new(
+        device: String,
+        seed: u64,
+        conventions: Conventions,
+        architecture: Architecture,
+        initial_log_variance: [f64; 6],
+        systems: Vec<SystemSummary>,
+        data_fingerprint: String,
+    ) -> Self {
+        Self {
+            layout: LAYOUT,
+            relcov_version: env!("CARGO_PKG_VERSION").to_owned(),
+            git_commit: option_env!("RELCOV_GIT_COMMIT").map(str::to_owned),
+            burn_version: BURN_VERSION.to_owned(),
+            device,
+            seed,
+            conventions,
+            architecture,
+            initial_log_variance,
+            systems,
+            data_fingerprint,
+        }
+    }
+}
+
+/// A run folder on disk.
+#[derive(Clone, Debug)]
+pub struct RunFolder {
+    path: PathBuf,
+}
+
+impl RunFolder {
+    /// Starts a run in a folder that holds none, or replaces the one it holds.
+    ///
+    /// # Errors
+    /// The folder holds a run and `replace` is false, or it cannot be written.
+    pub fn create(path: &Path, replace: bool) -> Result<Self> {
+        let run = Self { path: path.to_owned() };
+        if run.path.join(MANIFEST).exists() || run.path.join(MODEL).exists() {
+            if !replace {
+                return Err(Error::run(
+                    path,
+                    "already holds a run; continue it with --resume, choose another --set name=…, or replace it with --force",
+                ));
+            }
+            run.clear()?;
+        }
+        std::fs::create_dir_all(path).map_err(Error::io("create the folder", path))?;
+        Ok(run)
+    }
+
+    /// Opens a folder that holds a run.
+    ///
+    /// # Errors
+    /// There is no run.
+    pub fn open(path: &Path) -> Result<Self> {
+        if !path.is_dir() {
+            return Err(Error::run(path, "no such folder; `relcov train` makes run folders below `checkpoints`"));
+        }
+        if !path.join(MANIFEST).is_file() {
+            return Err(Error::run(path, format!("holds no {MANIFEST}, so no run was started here; expected a folder made by `relcov train`")));
+        }
+        Ok(Self { path: path.to_owned() })
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Path of the effective configuration.
+    pub fn config_path(&self) -> PathBuf {
+        self.path.join(CONFIG)
+    }
+
+    /// Writes configuration and manifest.
+    ///
+    /// # Errors
+    /// They cannot be written.
+    pub fn write_description(&self, config: &Config, manifest: &Manifest) -> Result<()> {
+        write_atomically(&self.path.join(CONFIG), config.to_toml().as_bytes())?;
+        let json = serde_json::to_string_pretty(manifest).expect("a manifest is JSON");
+        write_atomically(&self.path.join(MANIFEST), json.as_bytes())
+    }
+
+    /// Reads the manifest and checks that this program can use it.
+    ///
+    /// # Errors
+    /// It is unreadable, of another layout, or made under other conventions.
+    pub fn manifest(&self) -> Result<Manifest> {
+        let path = self.path.join(MANIFEST);
+        let manifest: Manifest = serde_json::from_str(&read_text(&path)?)
+            .map_err(|error| Error::malformed(&path, Place::Whole, error.to_string(), "the manifest of a relcov run"))?;
+        if manifest.layout != LAYOUT {
+            let problem = format!("has layout {} and this program (relcov {}) reads {LAYOUT}; use relcov {}", manifest.layout, env!("CARGO_PKG_VERSION"), manifest.relcov_version);
+            return Err(Error::run(&self.path, problem));
+        }
+        let ours = Conventions::new(manifest.conventions.error_frame);
+        if manifest.conventions != ours {
+            return Err(Error::run(
+                &self.path,
+                format!("was made under other conventions: {}; this program uses {}", json(&manifest.conventions), json(&ours)),
+            ));
+        }
+        Ok(manifest)
+    }
+
+    /// Saves the best model so far.
+    ///
+    /// # Errors
+    /// It cannot be written; the previous one stays.
+    pub fn save_model(&self, model: &CovarianceModel) -> Result<()> {
+        let path = self.path.join(MODEL);
+        let temporary = self.temporary(MODEL);
+        let mut store = SafetensorsStore::from_file(&temporary).overwrite(true);
+        model.save_into(&mut store).map_err(|error| {
+            let _ = std::fs::remove_file(&temporary);
+            Error::Io { action: "write", path: path.clone(), source: std::io::Error::other(error.to_string()) }
+        })?;
+        std::fs::rename(&temporary, &path).map_err(Error::io("rename into place", &path))
+    }
+
+    /// Loads the best model onto a device.
+    ///
+    /// # Errors
+    /// There is none yet, it is damaged, or it does not have the manifest's shape.
+    pub fn load_model(&self, manifest: &Manifest, device: &Device) -> Result<CovarianceModel> {
+        let path = self.path.join(MODEL);
+        if !path.is_file() {
+            return Err(Error::run(&self.path, format!("holds no {MODEL} yet: the first epoch was not finished; continue with `relcov train --resume`")));
+        }
+        let mut model = manifest.architecture.init(manifest.initial_log_variance, device);
+        let expected = || {
+            let Architecture { width, height, input, .. } = &manifest.architecture;
+            format!("the weights of Table I at {width}x{height}, input {input:?}, as manifest.json says")
+        };
+        let mut store = SafetensorsStore::from_file(&path);
+        let applied = model
+            .load_from(&mut store)
+            .map_err(|error| Error::malformed(&path, Place::Whole, first_line(&error.to_string()), expected()))?;
+        if !applied.is_success() {
+            return Err(Error::malformed(&path, Place::Whole, first_line(&applied.to_string()), expected()));
+        }
+        Ok(model)
+    }
+
+    /// Saves everything a resumed run needs, then the tables people read, then drops older states.
+    ///
+    /// # Errors
+    /// It cannot be written; the previous state stays.
+    pub fn save_state(&self, model: &CovarianceModel, optimiser: &ModuleOptimizer, history: &History, systems: &[String]) -> Result<()> {
+        let name = format!("{STATE_PREFIX}{:09}", history.batches);
+        let folder = self.path.join(&name);
+        let temporary = self.temporary(&name);
+        let written = self.write_state(&temporary, model, optimiser, history).and_then(|()| {
+            if folder.exists() {
+                std::fs::remove_dir_all(&folder).map_err(Error::io("remove", &folder))?;
+            }
+            std::fs::rename(&temporary, &folder).map_err(Error::io("rename into place", &folder))
+        });
+        if let Err(error) = written {
+            let _ = std::fs::remove_dir_all(&temporary);
+            return Err(error);
+        }
+        write_atomically(&self.path.join(METRICS), history.to_csv(systems).as_bytes())?;
+        if let Some(svg) = loss_curves(history, systems) {
+            write_atomically(&self.path.join(LOSSES), svg.as_bytes())?;
+        }
+        for old in self.states()?.into_iter().filter(|state| state != &folder) {
+            std::fs::remove_dir_all(&old).map_err(Error::io("remove", &old))?;
+        }
+        Ok(())
+    }
+
+    /// Loads the newest state into a model and an optimiser.
+    ///
+    /// # Errors
+    /// There is none, or it is damaged.
+    pub fn load_state(&self, model: CovarianceModel, optimiser: ModuleOptimizer) -> Result<(CovarianceModel, ModuleOptimizer, History)> {
+        let Some(folder) = self.states()?.pop() else {
+            return Err(Error::run(&self.path, "holds no saved state; start anew with `relcov train --config … --force`"));
+        };
+        let damaged = |file: &str, error: &dyn std::fmt::Display| {
+            Error::malformed(folder.join(file), Place::Whole, first_line(&error.to_string()), "a state saved by this version of relcov")
+        };
+        let path = folder.join(STATE_HISTORY);
+        let history: History = serde_json::from_str(&read_text(&path)?).map_err(|error| damaged(STATE_HISTORY, &error))?;
+        let record = ModuleRecord::load(folder.join(STATE_MODEL)).map_err(|error| damaged(STATE_MODEL, &error))?;
+        let model = model.try_load_record(record).map_err(|error| damaged(STATE_MODEL, &error))?;
+        let record = OptimizerRecord::load(folder.join(STATE_OPTIMISER)).map_err(|error| damaged(STATE_OPTIMISER, &error))?;
+        Ok((model, optimiser.load_record(record), history))
+    }
+
+    fn write_state(&self, folder: &Path, model: &CovarianceModel, optimiser: &ModuleOptimizer, history: &History) -> Result<()> {
+        if folder.exists() {
+            std::fs::remove_dir_all(folder).map_err(Error::io("remove", folder))?;
+        }
+        std::fs::create_dir(folder).map_err(Error::io("create the folder", folder))?;
+        let failed = |file: &str| {
+            let path = folder.join(file);
+            move |error: burn::store::RecordError| Error::Io { action: "write", path, source: std::io::Error::other(error.to_string()) }
+        };
+        model.clone().into_record().save(folder.join(STATE_MODEL)).map_err(failed(STATE_MODEL))?;
+        optimiser.to_record().save(folder.join(STATE_OPTIMISER)).map_err(failed(STATE_OPTIMISER))?;
+        let json = serde_json::to_string_pretty(history).expect("a history is JSON");
+        write_atomically(&folder.join(STATE_HISTORY), json.as_bytes())
+    }
+
+    /// State folders, oldest first.
+    fn states(&self) -> Result<Vec<PathBuf>> {
+        let entries = std::fs::read_dir(&self.path).map_err(Error::io("list", &self.path))?;
+        let mut states: Vec<PathBuf> = entries
+            .filter_map(|entry| Some(entry.ok()?.path()))
+            .filter(|path| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(STATE_PREFIX)))
+            .collect();
+        states.sort();
+        Ok(states)
+    }
+
+    fn temporary(&self, name: &str) -> PathBuf {
+        self.path.join(format!(".{name}.partial"))
+    }
+
+    /// Removes what a run wrote, and nothing else.
+    fn clear(&self) -> Result<()> {
+        for file in [MANIFEST, CONFIG, METRICS, LOSSES, MODEL] {
+            let path = self.path.join(file);
+            if path.exists() {
+                std::fs::remove_file(&path).map_err(Error::io("remove", &path))?;
+            }
+        }
+        for state in self.states()? {
+            std::fs::remove_dir_all(&state).map_err(Error::io("remove", &state))?;
+        }
+        Ok(())
+    }
+}
+
+/// Writes a file under a temporary name beside it and renames it.
+///
+/// # Errors
+/// It cannot be written; a file of that name stays as it was.
+pub(crate) fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut file = NamedTempFile::new_in(folder).map_err(Error::io("write into", folder))?;
+    file.write_all(bytes).and_then(|()| file.as_file().sync_all()).map_err(Error::io("write", path))?;
+    // A temporary file is private; this one is to be read like any other.
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        let _ = file.as_file().set_permissions(std::fs::Permissions::from_mode(0o644));
+    }
+    file.persist(path).map_err(|error| Error::io("rename into place", path)(error.error))?;
+    Ok(())
+}
+
+fn json(conventions: &Conventions) -> String {
+    serde_json::to_string(conventions).expect("conventions are JSON")
+}
+
+fn first_line(text: &str) -> String {
+    text.lines().find(|line| !line.trim().is_empty()).unwrap_or("nothing").trim().to_owned()
+}

@@ -1,0 +1,8 @@
+//! Tests of the library and the program from outside, in one binary (each links all of Burn).
+
+mod cli;
+mod devices;
+mod kitti;
+mod oracles;
+mod support;
+mod training;
