@@ -117,10 +117,11 @@ pub struct SystemConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "source", rename_all = "snake_case", deny_unknown_fields)]
 pub enum SystemSource {
+    // With braces, so that serde refuses unknown keys beside the tag.
     /// The truth itself: zero error (the paper's System 2).
-    Truth,
+    Truth {},
     /// The drive's GNSS/INS packets; errors of their own when the truth is another.
-    Oxts,
+    Oxts {},
     /// Absolute poses in a file for each drive.
     Trajectory(TrajectoryConfig),
     /// Relative poses in a CSV file for each drive.

@@ -7,7 +7,7 @@ use clap::{Args, ValueEnum};
 
 use super::progress::{Progress, note};
 use super::{Overrides, RunPath, Terminal, print_result};
-use crate::data::{Dataset, PairReader, SplitName};
+use crate::data::{Dataset, PairReader, PairScope, SplitName};
 use crate::device::{device_name, open_device};
 use crate::error::Error;
 use crate::evaluation::{evaluate_run, predict_split, write_results};
@@ -75,7 +75,7 @@ pub fn evaluate(
         .into());
     }
     let device = open_device(&config.device)?;
-    let dataset = Dataset::load(&config)?;
+    let dataset = Dataset::load(&config, PairScope::Images)?;
     let pairs = dataset.require(split)?;
     let reader = Arc::new(PairReader::new(&config, &dataset));
     let model = run.load_model(&manifest, &device)?;

@@ -7,7 +7,7 @@ use comfy_table::{CellAlignment, Table, presets};
 
 use super::{Overrides, print_result};
 use crate::config::Config;
-use crate::data::{Coverage, Dataset, SplitName};
+use crate::data::{Coverage, Dataset, PairScope, SplitName};
 
 /// Arguments of `relcov inspect`.
 #[derive(Args)]
@@ -24,7 +24,7 @@ pub struct InspectArguments {
 
 pub fn run(arguments: InspectArguments) -> anyhow::Result<()> {
     let config = arguments.overrides.load(&arguments.config)?;
-    let dataset = Dataset::load(&config)?;
+    let dataset = Dataset::load(&config, PairScope::Images)?;
     print_result(&describe(&config, &dataset))
 }
 

@@ -9,7 +9,7 @@ use clap::Args;
 
 use super::progress::{Progress, note};
 use super::{Overrides, RunPath, Terminal, eval};
-use crate::data::{Dataset, SplitName};
+use crate::data::{Dataset, PairScope, SplitName};
 use crate::device::{device_name, is_slow_to_train, open_device};
 use crate::error::Error;
 use crate::training::{Event, Learner, RunFolder, StopReason};
@@ -76,7 +76,7 @@ fn prepare(arguments: &TrainArguments, terminal: &Terminal) -> anyhow::Result<Le
     if is_slow_to_train(&device) {
         tracing::warn!("ndarray trains this network some 20 times slower than flex; --device flex is the fast CPU backend");
     }
-    let dataset = Arc::new(Dataset::load(&config)?);
+    let dataset = Arc::new(Dataset::load(&config, PairScope::Images)?);
     for split in [&dataset.train, &dataset.validation, &dataset.test] {
         let counts: Vec<String> =
             dataset.systems.iter().zip(&split.systems).map(|(name, range)| format!("{} {name}", range.len())).collect();

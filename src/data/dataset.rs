@@ -60,7 +60,7 @@ impl SplitName {
 pub struct Split {
     /// Its role.
     pub name: SplitName,
-    /// Pairs that have images and depth, ordered by system, drive and frame.
+    /// Its pairs, ordered by system, drive and frame.
     pub pairs: Vec<Pair>,
     /// Each system's range of `pairs`.
     pub systems: Vec<Range<usize>>,
@@ -88,6 +88,15 @@ pub struct PairId {
     pub source: usize,
     /// Frame i + 1.
     pub target: usize,
+}
+
+/// Which measured pairs a data set keeps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PairScope {
+    /// Those with images and depth: what a network needs.
+    Images,
+    /// All with a measured and a true pose: what statistics of errors need.
+    Poses,
 }
 
 /// What one drive gives to one split.
@@ -121,8 +130,8 @@ impl Dataset {
     /// # Errors
     /// A drive, calibration or measurement file is missing or malformed, or too many packets are
     /// unreadable. Splits may come out empty; see [`Dataset::require`].
-    pub fn load(config: &Config) -> Result<Self> {
-        let mut loader = Loader { config, drives: Vec::new(), sources: Vec::new() };
+    pub fn load(config: &Config, scope: PairScope) -> Result<Self> {
+        let mut loader = Loader { config, scope, drives: Vec::new(), sources: Vec::new() };
         let held_out = config.data.validation.is_empty() && config.training.watch == WatchedSplit::Validation;
         let mut coverage = Vec::new();
         let mut collect = |name, drives: &[DriveConfig]| -> Result<Vec<Pair>> {
@@ -256,6 +265,7 @@ fn hold_out(pairs: Vec<Pair>, fraction: f64) -> (Vec<Pair>, Vec<Pair>) {
 
 struct Loader<'a> {
     config: &'a Config,
+    scope: PairScope,
     drives: Vec<Drive>,
     /// For each drive: the truth and each system's measurements.
     sources: Vec<(Trajectory, Vec<Measurements>)>,
@@ -269,6 +279,7 @@ impl Loader<'_> {
         let root = &self.config.data.root;
         let wanted_frame = |frame: usize| wanted.frames.is_none_or(|[first, end]| (first..end).contains(&frame));
         let has_images = |&(source, target): &(usize, usize)| drive.images.contains_key(&source) && drive.images.contains_key(&target);
+        let has_depth = |&(_, target): &(usize, usize)| has_depth(&self.config.depth, drive, target, root);
 
         let pose_pairs: Vec<(usize, usize)> = true_poses
             .keys()
@@ -276,7 +287,7 @@ impl Loader<'_> {
             .filter(|&(source, target)| wanted_frame(source) && true_poses.contains_key(&target))
             .collect();
         let image_pairs: Vec<_> = pose_pairs.iter().copied().filter(has_images).collect();
-        let depth_pairs = image_pairs.iter().filter(|(_, target)| has_depth(&self.config.depth, drive, *target, root)).count();
+        let depth_pairs = image_pairs.iter().copied().filter(has_depth).count();
 
         let mut pairs = Vec::new();
         let mut measured_pairs = Vec::new();
@@ -290,7 +301,8 @@ impl Loader<'_> {
                     continue;
                 }
                 measured += 1;
-                if !has_images(&(source, target)) || !has_depth(&self.config.depth, drive, target, root) {
+                let pair = (source, target);
+                if self.scope == PairScope::Images && !(has_images(&pair) && has_depth(&pair)) {
                     continue;
                 }
                 let vehicle_from_camera2 = drive.calibration.camera2_from_vehicle.inverse();

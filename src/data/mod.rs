@@ -16,7 +16,7 @@ mod reader;
 pub use self::image::{RgbImage, read_image};
 pub use batch::{PairBatch, PairNumbers};
 pub use calibration::Calibration;
-pub use dataset::{Coverage, Dataset, Pair, PairId, Split, SplitName};
+pub use dataset::{Coverage, Dataset, Pair, PairId, PairScope, Split, SplitName};
 pub use drive::Drive;
 pub use loader::{BatchLoader, Choice, LoadedBatch};
 pub use oxts::{OxtsPacket, world_from_vehicle};

@@ -53,8 +53,8 @@ impl Pose {
         if rotation.determinant() <= 0.0 {
             return Err(2.0);
         }
-        let svd = rotation.svd(true, true);
-        let nearest = svd.u.expect("requested") * svd.v_t.expect("requested");
+        // Newton's iteration for the orthogonal polar factor: squares the deviation, keeps small angles.
+        let nearest = (0..4).fold(rotation, |r, _| r * (3.0 * Matrix3::identity() - r.transpose() * r) * 0.5);
         Ok(Self::new(Rotation3::from_matrix_unchecked(nearest), translation))
     }
 

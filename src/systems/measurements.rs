@@ -50,8 +50,8 @@ pub fn load_measurements(source: &SystemSource, drive: &Drive, root: &Path, true
     let found = |frame, relative_poses| Measurements { frame, relative_poses, missing_file: None };
     let missing = |frame, path| Measurements { frame, relative_poses: BTreeMap::new(), missing_file: Some(path) };
     Ok(match source {
-        SystemSource::Truth => found(MeasurementFrame::Vehicle, consecutive(true_poses)),
-        SystemSource::Oxts => found(MeasurementFrame::Vehicle, consecutive(&drive.oxts_poses)),
+        SystemSource::Truth {} => found(MeasurementFrame::Vehicle, consecutive(true_poses)),
+        SystemSource::Oxts {} => found(MeasurementFrame::Vehicle, consecutive(&drive.oxts_poses)),
         SystemSource::Trajectory(config) => match load_trajectory(config, drive, root)? {
             Some(trajectory) => found(config.frame, consecutive(&trajectory)),
             None => missing(config.frame, expand(&config.path, drive, root)),

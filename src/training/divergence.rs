@@ -84,7 +84,8 @@ mod tests {
 
     #[test]
     fn noise_without_a_trend_goes_on() {
-        let noise = |t: f64| 0.04 * (t * 12.9898).sin();
+        // Uniform in ±0.05, different in every epoch.
+        let noise = |t: f64| 0.1 * (((t * 12.9898).sin() * 43_758.545).rem_euclid(1.0) - 0.5);
         assert_eq!(stops_at(rule(), |t| -t.ln(), move |t| -0.2 * t.ln() + noise(t)), None);
     }
 

@@ -74,16 +74,23 @@ fn the_warp_agrees_with_an_independent_one() {
 
     let coordinates = Warp.project(tensor(&file, "depth", &device), intrinsics, tensor(&file, "source_from_target", &device));
     let expected_valid: Tensor<4> = tensor(&file, "valid", &device);
-    assert_eq!(largest(coordinates.valid.clone().float() - expected_valid.clone()), 0.0, "validity");
+    let expected: Tensor<4> = tensor(&file, "coordinates", &device);
+    let [_, _, height, width] = expected_valid.dims();
+    // The first pose is the identity: there the oracle's border pixels are in or out by f64 rounding.
+    let last = Tensor::<1>::from_floats([(width - 1) as f32, (height - 1) as f32], &device).reshape([1, 2, 1, 1]);
+    let from_border = expected.clone().abs().min_pair((expected.clone() - last).abs()).min_dim(1);
+    let clear_of_border = from_border.greater_elem(2e-3).float();
+    assert!(clear_of_border.clone().mean().into_scalar::<f32>() > 0.9);
+    let differs = (coordinates.valid.clone().float() - expected_valid.clone()) * clear_of_border;
+    assert_eq!(largest(differs), 0.0, "validity");
 
     let uv = Tensor::cat(vec![coordinates.u.clone(), coordinates.v.clone()], 1);
-    let expected: Tensor<4> = tensor(&file, "coordinates", &device);
     let off_px = largest((uv - expected) * expected_valid.clone());
     assert!(off_px <= 1e-3, "coordinates are off by {off_px} px");
 
     let warped = Warp.sample(tensor(&file, "source", &device), coordinates);
     let expected: Tensor<4> = tensor(&file, "warped_border", &device);
-    let off = largest(warped.image - expected * expected_valid);
+    let off = largest((warped.image - expected) * expected_valid);
     assert!(off <= 1e-4, "warped image is off by {off}");
 }
 

@@ -14,15 +14,8 @@ pub fn shared(relative: &str) -> Option<PathBuf> {
     if path.exists() {
         return Some(path);
     }
-    eprintln!("skipped: {} is not there", path.display());
+    skip(&format!("{} is not there", path.display()));
     None
-}
-
-/// Whether skipping is forbidden because the machine is meant to have everything.
-pub fn must_not_skip(what: &str) -> bool {
-    let strict = std::env::var_os("RELCOV_STRICT_TESTS").is_some();
-    assert!(!strict, "{what} is missing and RELCOV_STRICT_TESTS is set");
-    strict
 }
 
 /// A matrix of 16 numbers, row-major, as a pose.
@@ -137,8 +130,8 @@ fn write_image(path: &Path, frame: usize) {
 }
 
 /// The oracle's weights: a formula of layer and flat index (`oracles/covnet.json`).
-pub fn with_formula_weights(network: relcov::network::CovarianceNetwork) -> relcov::network::CovarianceNetwork {
-    burn::module::Module::map(network, &mut FormulaWeights { layer: 0 })
+pub fn with_formula_weights<M: burn::module::Module>(module: M) -> M {
+    module.map(&mut FormulaWeights { layer: 0 })
 }
 
 struct FormulaWeights {
@@ -175,6 +168,13 @@ impl burn::module::ModuleMapper for FormulaWeights {
         if is_bias {
             self.layer += 1;
         }
-        mapped
+        let trains = mapped.device().is_autodiff();
+        mapped.set_require_grad(trains)
     }
+}
+
+/// Says that a test could not run; fails where everything is meant to be there.
+pub fn skip(reason: &str) {
+    assert!(std::env::var_os("RELCOV_STRICT_TESTS").is_none(), "would be skipped: {reason}");
+    eprintln!("skipped: {reason}");
 }

@@ -1,0 +1,185 @@
+//! Time of each stage: decode and resize, warp, network forward, training step, and the whole
+//! training loop beside its bare step. `cargo bench`; sizes below are those of configs/kitti_sample.toml.
+
+use std::hint::black_box;
+use std::sync::Arc;
+use std::time::Duration;
+
+use burn::module::Module;
+use burn::optim::{AdamConfig, GradientsAccumulator};
+use burn::tensor::{Device, Tensor};
+use burn::train::TrainStep;
+use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use relcov::config::Config;
+use relcov::data::{Dataset, PairBatch, PairReader, PairSample, PairScope, RgbImage, read_image};
+use relcov::depth::ground_plane_depth;
+use relcov::geometry::{Pinhole, Pose, Tangent};
+use relcov::model::{Architecture, InputBasis, MicroBatch};
+use relcov::training::{Event, Learner};
+use relcov::warp::Warp;
+
+const CAMERA: Pinhole = Pinhole { fx: 707.0912, fy: 707.0912, cx: 601.8873, cy: 183.1104, width: 1226, height: 370 };
+const SIZES: [(usize, usize); 2] = [(320, 96), (512, 160)];
+
+/// Noise images, a road and a plausible motion: the arithmetic is that of real pairs.
+fn batch(pairs: usize, (width, height): (usize, usize), device: &Device) -> PairBatch {
+    let camera = CAMERA.resized(width, height);
+    let image = |seed: usize| {
+        let bytes = (0..3 * width * height).map(|k| (k * 2_654_435_761 + seed * 40_503) as u8).collect();
+        Arc::new(RgbImage { width, height, bytes })
+    };
+    let samples: Vec<PairSample> = (0..pairs)
+        .map(|index| PairSample {
+            source_image: image(index),
+            target_image: image(index + 1),
+            target_depth: Arc::new(ground_plane_depth(&camera, 1.65, None, 80.0)),
+            camera,
+            source_from_target: Pose::exp(&Tangent::new(0.01, 0.0, 0.9, 0.0, 0.01, 0.0)),
+            error: Tangent::new(0.04, 0.008, 0.009, 7e-4, 6e-4, 8e-4),
+        })
+        .collect();
+    PairBatch::new(&samples, device)
+}
+
+fn architecture((width, height): (usize, usize)) -> Architecture {
+    Architecture { width, height, input: InputBasis::Residual, dropout: 0.5, log_variance_floor: None }
+}
+
+fn finish<const D: usize>(tensor: Tensor<D>) {
+    black_box(tensor.into_data());
+}
+
+fn warp(criterion: &mut Criterion) {
+    let device = Device::flex();
+    let mut group = criterion.benchmark_group("warp");
+    for size in SIZES {
+        let pairs = batch(8, size, &device);
+        group.throughput(Throughput::Elements(8));
+        group.bench_function(BenchmarkId::from_parameter(format!("{}x{}x8", size.0, size.1)), |bencher| {
+            bencher.iter(|| {
+                let pairs = pairs.clone();
+                finish(Warp.forward(pairs.source_image, pairs.target_depth, pairs.intrinsics, pairs.source_from_target).image);
+            });
+        });
+    }
+}
+
+fn forward(criterion: &mut Criterion) {
+    let device = Device::flex();
+    let mut group = criterion.benchmark_group("predict");
+    for size in SIZES {
+        let model = architecture(size).init([-8.0; 6], &device);
+        let pairs = batch(1, size, &device);
+        group.bench_function(BenchmarkId::from_parameter(format!("{}x{}x1", size.0, size.1)), |bencher| {
+            bencher.iter(|| finish(model.forward(&pairs)));
+        });
+    }
+}
+
+fn training_step(criterion: &mut Criterion) {
+    let device = Device::flex();
+    let mut group = criterion.benchmark_group("training step");
+    group.sample_size(10);
+    let size = SIZES[0];
+    let mut model = architecture(size).init([-8.0; 6], &device.clone().autodiff());
+    let mut optimiser = AdamConfig::new().with_epsilon(1e-8).init();
+    for pairs in [4, 14] {
+        let batch = batch(pairs, size, &device);
+        group.throughput(Throughput::Elements(pairs as u64));
+        group.bench_function(BenchmarkId::new("forward+backward", format!("{}x{}x{pairs}", size.0, size.1)), |bencher| {
+            bencher.iter(|| black_box(TrainStep::step(&model, MicroBatch { pairs: batch.clone(), weight: 0.1 }).grads));
+        });
+    }
+    let batch = batch(14, size, &device);
+    let gradients = || {
+        let mut sum = GradientsAccumulator::new();
+        sum.accumulate(&model, TrainStep::step(&model, MicroBatch { pairs: batch.clone(), weight: 0.1 }).grads);
+        sum.grads()
+    };
+    let mut prepared: Vec<_> = (0..12).map(|_| gradients()).collect();
+    group.bench_function("adam", |bencher| {
+        bencher.iter_batched(
+            || prepared.pop().unwrap_or_else(&gradients),
+            |gradients| black_box(optimiser.step(1e-4, model.clone(), gradients)),
+            criterion::BatchSize::PerIteration,
+        );
+    });
+    model = model.valid();
+    black_box(model);
+}
+
+fn decode(criterion: &mut Criterion) {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let mut group = criterion.benchmark_group("decode+resize");
+    let image = image::RgbImage::from_fn(1226, 370, |u, v| image::Rgb([(u / 3) as u8, (v / 2) as u8, (u ^ v) as u8]));
+    for extension in ["png", "jpg"] {
+        let path = folder.path().join(format!("frame.{extension}"));
+        image.save(&path).expect("an image file");
+        group.bench_function(BenchmarkId::new(extension, "1226x370 to 320x96"), |bencher| {
+            bencher.iter(|| black_box(read_image(&path).expect("readable").resized(320, 96)));
+        });
+    }
+}
+
+/// The whole loop on the real sample, beside the bare step on one fixed micro-batch: how well loading
+/// keeps the network fed. Skipped, and said so, when the sample is not there.
+fn training_loop(criterion: &mut Criterion) {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let settings = [
+        format!("checkpoints={}", folder.path().display()),
+        "training.epochs=1".to_owned(),
+        "training.batches_per_epoch=1000000".to_owned(),
+    ];
+    let config = Config::load("configs/kitti_sample.toml".as_ref(), &settings).expect("a shipped configuration");
+    let Ok(dataset) = Dataset::load(&config, PairScope::Images) else {
+        eprintln!("skipped: training loop (no data at {})", config.data.root.display());
+        return;
+    };
+    let device = Device::flex();
+    let pairs = config.training.batch as u64;
+    let mut group = criterion.benchmark_group("training loop");
+    group.sample_size(10).measurement_time(Duration::from_secs(60)).throughput(Throughput::Elements(pairs));
+
+    let reader = PairReader::new(&config, &dataset);
+    let samples: Vec<PairSample> = dataset.train.pairs[..config.training.micro_batch]
+        .iter()
+        .map(|pair| reader.read(pair).expect("readable").expect("readable"))
+        .collect();
+    let part = PairBatch::new(&samples, &device);
+    let mut model = architecture((config.model.width, config.model.height)).init([-8.0; 6], &device.clone().autodiff());
+    let mut optimiser = AdamConfig::new().with_epsilon(1e-8).init();
+    group.bench_function("bare step", |bencher| {
+        bencher.iter(|| {
+            let mut gradients = GradientsAccumulator::new();
+            for _ in 0..config.training.batch / config.training.micro_batch {
+                let output = TrainStep::step(&model, MicroBatch { pairs: part.clone(), weight: 1.0 / pairs as f32 });
+                gradients.accumulate(&model, output.grads);
+                finish(output.item.loss);
+            }
+            model = optimiser.step(1e-4, model.clone(), gradients.grads());
+        });
+    });
+
+    // The learner runs until its interrupt; criterion's iterations take its batches one by one.
+    let (sender, batches) = std::sync::mpsc::sync_channel::<()>(0);
+    let mut learner = Learner::start(config, Arc::new(dataset), &device, false).expect("a new run");
+    let interrupt = learner.interrupt_flag();
+    let thread = std::thread::spawn(move || {
+        let outcome = learner.train(&mut |event| {
+            if matches!(event, Event::Batch { .. }) && sender.send(()).is_err() {
+                learner_done(&interrupt);
+            }
+        });
+        assert!(outcome.is_err(), "only the interrupt ends it");
+    });
+    group.bench_function("learner", |bencher| bencher.iter(|| batches.recv().expect("a batch")));
+    drop(batches);
+    thread.join().expect("the learner ends");
+}
+
+fn learner_done(interrupt: &std::sync::atomic::AtomicBool) {
+    interrupt.store(true, std::sync::atomic::Ordering::Relaxed);
+}
+
+criterion_group!(stages, decode, warp, forward, training_step, training_loop);
+criterion_main!(stages);

@@ -1,0 +1,23 @@
+# Shortcuts; `.ci/run` is the reference.
+
+# Every check
+check:
+    bash .ci/run
+
+# Format, then what the compiler and clippy say
+lint:
+    cargo fmt
+    cargo clippy --release --all-targets -- -D warnings
+
+test *ARGS:
+    cargo test --release {{ARGS}}
+
+# The main job on the real sample
+sample *ARGS:
+    cargo run --release -- train --config configs/kitti_sample.toml {{ARGS}}
+
+bench *ARGS:
+    cargo bench {{ARGS}}
+
+doc:
+    cargo doc --no-deps --open
