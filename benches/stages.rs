@@ -58,7 +58,10 @@ fn warp(criterion: &mut Criterion) {
         group.bench_function(BenchmarkId::from_parameter(format!("{}x{}x8", size.0, size.1)), |bencher| {
             bencher.iter(|| {
                 let pairs = pairs.clone();
-                finish(Warp.forward(pairs.source_image, pairs.target_depth, pairs.intrinsics, pairs.source_from_target).image);
+                finish(
+                    Warp.forward(pairs.source_image, pairs.target_depth, pairs.intrinsics, pairs.source_from_target)
+                        .image,
+                );
             });
         });
     }
@@ -86,9 +89,14 @@ fn training_step(criterion: &mut Criterion) {
     for pairs in [4, 14] {
         let batch = batch(pairs, size, &device);
         group.throughput(Throughput::Elements(pairs as u64));
-        group.bench_function(BenchmarkId::new("forward+backward", format!("{}x{}x{pairs}", size.0, size.1)), |bencher| {
-            bencher.iter(|| black_box(TrainStep::step(&model, MicroBatch { pairs: batch.clone(), weight: 0.1 }).grads));
-        });
+        group.bench_function(
+            BenchmarkId::new("forward+backward", format!("{}x{}x{pairs}", size.0, size.1)),
+            |bencher| {
+                bencher.iter(|| {
+                    black_box(TrainStep::step(&model, MicroBatch { pairs: batch.clone(), weight: 0.1 }).grads)
+                });
+            },
+        );
     }
     let batch = batch(14, size, &device);
     let gradients = || {

@@ -209,7 +209,11 @@ pub enum DepthConfig {
 
 impl Default for DepthConfig {
     fn default() -> Self {
-        Self::GroundPlane { camera_height_m: default_camera_height_m(), horizon_px: None, max_depth_m: default_max_depth_m() }
+        Self::GroundPlane {
+            camera_height_m: default_camera_height_m(),
+            horizon_px: None,
+            max_depth_m: default_max_depth_m(),
+        }
     }
 }
 
@@ -379,7 +383,12 @@ impl Config {
         let config = Self::deserialize(table).map_err(|error| {
             // The text knows its lines; the merged table only its keys.
             let error = toml::from_str::<Self>(&text).err().unwrap_or(error);
-            Error::malformed(path, crate::error::Place::Whole, error.to_string().trim_end().to_owned(), "a relcov configuration (see README.md, \"Configuration\")")
+            Error::malformed(
+                path,
+                crate::error::Place::Whole,
+                error.to_string().trim_end().to_owned(),
+                "a relcov configuration (see README.md, \"Configuration\")",
+            )
         })?;
         config.validate()?;
         Ok(config)

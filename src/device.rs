@@ -28,7 +28,10 @@ pub fn open_device(name: &str) -> Result<Device> {
 /// Short name of an opened device's backend, as stored with results.
 pub fn device_name(device: &Device) -> String {
     let debug = format!("{device:?}").to_lowercase();
-    ["flex", "ndarray", "cuda", "vulkan", "wgpu"].into_iter().find(|name| debug.contains(name)).map_or(debug.clone(), str::to_owned)
+    ["flex", "ndarray", "cuda", "vulkan", "wgpu"]
+        .into_iter()
+        .find(|name| debug.contains(name))
+        .map_or(debug.clone(), str::to_owned)
 }
 
 /// Whether training on this device is so slow that the user should know.
@@ -89,7 +92,9 @@ fn cuda(name: &str, index: &str) -> Result<Device> {
     let problem = |problem: String| Error::Device { name: name.to_owned(), problem };
     let index: usize = match index {
         "" => 0,
-        index => index.parse().map_err(|_| problem(format!("`{index}` is not a number; expected cuda or cuda:0, cuda:1, …")))?,
+        index => index
+            .parse()
+            .map_err(|_| problem(format!("`{index}` is not a number; expected cuda or cuda:0, cuda:1, …")))?,
     };
     let devices: Vec<Device> = Device::enumerate(burn::tensor::DeviceType::Cuda).into_iter().collect();
     let count = devices.len();
@@ -131,9 +136,19 @@ fn auto() -> Device {
         return device;
     }
     #[cfg(feature = "wgpu")]
-    if let Some(device) = Device::enumerate(burn::tensor::DeviceType::Wgpu).into_iter().find(is_real_gpu) {
+    if may_have_gpu()
+        && let Some(device) = Device::enumerate(burn::tensor::DeviceType::Wgpu).into_iter().find(is_real_gpu)
+    {
         return device;
     }
     // Burn's training crate always brings flex along.
     Device::flex()
+}
+
+/// Linux shows a GPU as a device file. Without one nothing is probed: drivers that are installed on a
+/// machine without a GPU write alarming lines to stderr.
+#[cfg(feature = "wgpu")]
+fn may_have_gpu() -> bool {
+    let files = ["/dev/dri", "/dev/nvidiactl", "/dev/dxg", "/dev/mali0"];
+    !cfg!(target_os = "linux") || files.iter().any(|file| std::path::Path::new(file).exists())
 }

@@ -24,8 +24,8 @@ pub fn gaussian_loss(log_variance: Tensor<2>, error: Tensor<2>) -> Tensor<1> {
     let limited = log_variance.clone().clamp(-LOG_VARIANCE_LIMIT, LOG_VARIANCE_LIMIT);
     let excess = (log_variance.clone() - limited.clone()).detach();
     let log_variance = log_variance - excess;
-    let standardised = (error * (log_variance.clone() * -0.5).exp())
-        .clamp(-STANDARDISED_ERROR_LIMIT, STANDARDISED_ERROR_LIMIT);
+    let standardised =
+        (error * (log_variance.clone() * -0.5).exp()).clamp(-STANDARDISED_ERROR_LIMIT, STANDARDISED_ERROR_LIMIT);
     (log_variance + standardised.clone() * standardised).sum_dim(1).squeeze_dim(1)
 }
 

@@ -57,7 +57,8 @@ pub struct CovarianceModel {
 impl Architecture {
     /// Builds the model; every first prediction is `initial_log_variance`.
     pub fn init(&self, initial_log_variance: [f64; 6], device: &Device) -> CovarianceModel {
-        let network = CovarianceNetworkConfig { channels: 6, height: self.height, width: self.width, dropout: self.dropout };
+        let network =
+            CovarianceNetworkConfig { channels: 6, height: self.height, width: self.width, dropout: self.dropout };
         CovarianceModel {
             warp: Warp,
             network: network.init(initial_log_variance, device),

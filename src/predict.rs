@@ -97,7 +97,12 @@ impl Model {
     /// # Ok(())
     /// # }
     /// ```
-    pub fn untrained(architecture: Architecture, error_frame: ErrorFrame, log_variance: [f64; 6], device: &Device) -> Self {
+    pub fn untrained(
+        architecture: Architecture,
+        error_frame: ErrorFrame,
+        log_variance: [f64; 6],
+        device: &Device,
+    ) -> Self {
         let network = architecture.init(log_variance, device);
         Self { architecture, error_frame, network, device: device.clone() }
     }
@@ -115,7 +120,8 @@ impl Model {
     pub fn predict(&self, measurement: &Measurement) -> Result<Covariance6> {
         let sample = self.prepare(measurement)?;
         let log_variance = self.network.forward(&PairBatch::new(&[sample], &self.device));
-        let data = log_variance.try_into_data().map_err(|error| Error::Training(format!("the device failed: {error:?}")))?;
+        let data =
+            log_variance.try_into_data().map_err(|error| Error::Training(format!("the device failed: {error:?}")))?;
         Ok(Covariance6::from_log_variances(&Vector6::from_iterator(data.iter::<f64>())))
     }
 
@@ -132,7 +138,9 @@ impl Model {
                 )));
             }
         }
-        if [camera.fx, camera.fy].iter().any(|&focal| !(focal > 0.0 && focal.is_finite())) || !source_from_target.is_finite() {
+        if [camera.fx, camera.fy].iter().any(|&focal| !(focal > 0.0 && focal.is_finite()))
+            || !source_from_target.is_finite()
+        {
             return Err(Error::Data("the measurement's focal lengths must be positive and its pose finite".to_owned()));
         }
         let (width, height) = (self.architecture.width, self.architecture.height);

@@ -81,10 +81,12 @@ pub fn evaluate(
     let model = run.load_model(&manifest, &device)?;
 
     let mut progress = Progress::new(terminal.quiet, "evaluating", 0, pairs.pairs.len());
-    let predictions = predict_split(&model, &reader, pairs, &config.training, &device, &mut |done| progress.set(done, "pairs"))?;
+    let predictions =
+        predict_split(&model, &reader, pairs, &config.training, &device, &mut |done| progress.set(done, "pairs"))?;
     drop(progress);
     let bad_frames = reader.bad_frames();
-    let evaluation = evaluate_run(&predictions, &dataset, &manifest, run_path, split, device_name(&device), &bad_frames)?;
+    let evaluation =
+        evaluate_run(&predictions, &dataset, &manifest, run_path, split, device_name(&device), &bad_frames)?;
     write_results(run.path(), &evaluation, &predictions, &dataset)?;
     for bad in &bad_frames {
         note(false, &format!("left out: {} frame {}: {}", bad.drive, bad.frame, bad.problem));

@@ -36,7 +36,13 @@ fn describe(config: &Config, dataset: &Dataset) -> String {
     text += &format!(
         "mini-batch: {} pairs = {}\n",
         config.training.batch,
-        config.systems.iter().zip(config.pairs_per_batch()).map(|(system, pairs)| format!("{pairs} {}", system.name)).collect::<Vec<_>>().join(" + ")
+        config
+            .systems
+            .iter()
+            .zip(config.pairs_per_batch())
+            .map(|(system, pairs)| format!("{pairs} {}", system.name))
+            .collect::<Vec<_>>()
+            .join(" + ")
     );
     let problems = problems(dataset);
     if problems.is_empty() {
@@ -51,7 +57,18 @@ fn describe(config: &Config, dataset: &Dataset) -> String {
 fn coverage_table(dataset: &Dataset) -> Table {
     let mut table = Table::new();
     table.load_style(presets::ASCII_MARKDOWN);
-    let columns = ["split", "drive", "frames", "true poses", "images", "right", "scans", "pose pairs", "image pairs", "with depth"];
+    let columns = [
+        "split",
+        "drive",
+        "frames",
+        "true poses",
+        "images",
+        "right",
+        "scans",
+        "pose pairs",
+        "image pairs",
+        "with depth",
+    ];
     let measured = dataset.systems.iter().map(|system| format!("{system} measured"));
     table.set_header(columns.map(str::to_owned).into_iter().chain(measured));
     for coverage in &dataset.coverage {
@@ -99,12 +116,16 @@ fn problems(dataset: &Dataset) -> Vec<String> {
     let missing = dataset.coverage.iter().flat_map(|coverage| {
         coverage.missing_files.iter().zip(&dataset.systems).filter_map(|(path, system)| {
             let drive = &dataset.drives[coverage.drive].name;
-            path.as_ref().map(|path| format!("{drive}: no measurements of `{system}`: {} does not exist", path.display()))
+            path.as_ref()
+                .map(|path| format!("{drive}: no measurements of `{system}`: {} does not exist", path.display()))
         })
     });
     let unreadable = dataset.drives.iter().flat_map(|drive| drive.problems.iter().cloned());
     let empty = dataset.coverage.iter().filter(|coverage| coverage.image_pairs == 0).map(|coverage| {
-        format!("{}: no image pairs, so none of its {} pose pairs can be used", dataset.drives[coverage.drive].name, coverage.pose_pairs)
+        format!(
+            "{}: no image pairs, so none of its {} pose pairs can be used",
+            dataset.drives[coverage.drive].name, coverage.pose_pairs
+        )
     });
     missing.chain(unreadable).chain(empty).collect()
 }

@@ -52,7 +52,8 @@ impl Progress {
         let terminal = io::stderr().is_terminal();
         let bar = (terminal && !quiet).then(|| {
             let bar = bars().add(ProgressBar::new(total as u64));
-            let style = ProgressStyle::with_template("{prefix} [{bar:30}] {pos}/{len} {msg}, {eta} left").expect("a fixed template");
+            let style = ProgressStyle::with_template("{prefix} [{bar:30}] {pos}/{len} {msg}, {eta} left")
+                .expect("a fixed template");
             bar.set_style(style.progress_chars("=> "));
             bar.set_prefix(label.to_owned());
             bar.set_position(done as u64);
@@ -60,7 +61,15 @@ impl Progress {
             bar
         });
         let now = Instant::now();
-        Self { bar, lines: !terminal && !quiet, label: label.to_owned(), total, begin: now, first: done, last_line: now }
+        Self {
+            bar,
+            lines: !terminal && !quiet,
+            label: label.to_owned(),
+            total,
+            begin: now,
+            first: done,
+            last_line: now,
+        }
     }
 
     /// Sets the count and what is said beside it.

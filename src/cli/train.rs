@@ -44,7 +44,10 @@ pub fn run(arguments: TrainArguments, terminal: &Terminal) -> anyhow::Result<()>
     let outcome = learner.train(&mut observer(terminal.quiet));
     let outcome = match outcome {
         Err(Error::Interrupted) => {
-            note(false, &format!("interrupted; continue with: relcov train --resume {}", learner.run().path().display()));
+            note(
+                false,
+                &format!("interrupted; continue with: relcov train --resume {}", learner.run().path().display()),
+            );
             return Err(Error::Interrupted.into());
         }
         outcome => outcome?,
@@ -53,7 +56,10 @@ pub fn run(arguments: TrainArguments, terminal: &Terminal) -> anyhow::Result<()>
         StopReason::Diverged => "training and evaluation loss diverged",
         StopReason::AllEpochs => "all epochs are done",
     };
-    note(terminal.quiet, &format!("stopped after epoch {}: {reason}; kept the model of epoch {}", outcome.epochs, outcome.best_epoch));
+    note(
+        terminal.quiet,
+        &format!("stopped after epoch {}: {reason}; kept the model of epoch {}", outcome.epochs, outcome.best_epoch),
+    );
     let bad = learner.reader().bad_frames();
     if !bad.is_empty() {
         note(false, &format!("{} frames could not be read and were left out", bad.len()));
@@ -74,7 +80,9 @@ fn prepare(arguments: &TrainArguments, terminal: &Terminal) -> anyhow::Result<Le
     let device = open_device(&config.device)?;
     note(terminal.quiet, &format!("device: {}", device_name(&device)));
     if is_slow_to_train(&device) {
-        tracing::warn!("ndarray trains this network some 20 times slower than flex; --device flex is the fast CPU backend");
+        tracing::warn!(
+            "ndarray trains this network some 20 times slower than flex; --device flex is the fast CPU backend"
+        );
     }
     let dataset = Arc::new(Dataset::load(&config, PairScope::Images)?);
     for split in [&dataset.train, &dataset.validation, &dataset.test] {
@@ -106,24 +114,35 @@ fn observer(quiet: bool) -> impl FnMut(Event) {
         Event::Started { batches_done, batches_per_epoch: batches, parameters, constant_loss } => {
             batches_per_epoch = batches;
             let constants: Vec<String> = constant_loss.iter().flatten().map(|loss| format!("{loss:.3}")).collect();
-            let from = if batches_done > 0 { format!(", continuing after mini-batch {batches_done}") } else { String::new() };
+            let from =
+                if batches_done > 0 { format!(", continuing after mini-batch {batches_done}") } else { String::new() };
             note(quiet, &format!("{:.1} M weights, {batches} mini-batches an epoch{from}", parameters as f64 / 1e6));
-            note(quiet, &format!("evaluation loss of the constant baseline: {} nats (the one to beat)", constants.join(", ")));
+            note(
+                quiet,
+                &format!("evaluation loss of the constant baseline: {} nats (the one to beat)", constants.join(", ")),
+            );
         }
         Event::Batch { epoch, batch, pairs_per_second, loss } => {
-            let progress = progress.get_or_insert_with(|| {
-                Progress::new(quiet, &format!("epoch {epoch}"), batch - 1, batches_per_epoch)
-            });
+            let progress = progress
+                .get_or_insert_with(|| Progress::new(quiet, &format!("epoch {epoch}"), batch - 1, batches_per_epoch));
             progress.set(batch, &format!("loss {loss:.3}, {pairs_per_second:.1} pairs/s"));
         }
         Event::Epoch { row, best } => {
             progress = None;
             let join = |losses: Vec<String>| losses.join(" / ");
             let training = join(row.training_loss.iter().map(|loss| format!("{loss:.3}")).collect());
-            let evaluation =
-                join(row.evaluation_loss.iter().map(|loss| loss.map_or("-".to_owned(), |loss| format!("{loss:.3}"))).collect());
+            let evaluation = join(
+                row.evaluation_loss
+                    .iter()
+                    .map(|loss| loss.map_or("-".to_owned(), |loss| format!("{loss:.3}")))
+                    .collect(),
+            );
             let mark = if best { ", best so far" } else { "" };
-            let floor = if row.at_floor > 0.0 { format!(", {:.0} % at the floor", 100.0 * row.at_floor) } else { String::new() };
+            let floor = if row.at_floor > 0.0 {
+                format!(", {:.0} % at the floor", 100.0 * row.at_floor)
+            } else {
+                String::new()
+            };
             note(
                 quiet,
                 &format!(

@@ -28,7 +28,9 @@ impl Config {
         require((0.0..1.0).contains(&fraction), "data.validation_fraction", || format!("{fraction} is not in [0, 1)"))?;
         let bad = self.data.max_bad_fraction;
         require((0.0..=1.0).contains(&bad), "data.max_bad_fraction", || format!("{bad} is not in [0, 1]"))?;
-        for (split, drives) in [("train", &self.data.train), ("validation", &self.data.validation), ("test", &self.data.test)] {
+        for (split, drives) in
+            [("train", &self.data.train), ("validation", &self.data.validation), ("test", &self.data.test)]
+        {
             for (index, drive) in drives.iter().enumerate() {
                 if let Some([first, end]) = drive.frames {
                     require(first < end, &format!("data.{split}.{index}.frames"), || {
@@ -41,7 +43,9 @@ impl Config {
     }
 
     fn validate_systems(&self) -> Result<()> {
-        require(!self.systems.is_empty(), "systems", || "none is given; add [[systems]] with name, share and source".to_owned())?;
+        require(!self.systems.is_empty(), "systems", || {
+            "none is given; add [[systems]] with name, share and source".to_owned()
+        })?;
         for (index, system) in self.systems.iter().enumerate() {
             let key = format!("systems.{index}.share");
             require(system.share > 0.0 && system.share <= 1.0, &key, || format!("{} is not in (0, 1]", system.share))?;
@@ -55,17 +59,25 @@ impl Config {
         let batch = self.training.batch;
         for (index, system) in self.systems.iter().enumerate() {
             let pairs = system.share * batch as f64;
-            require((pairs - pairs.round()).abs() < 1e-6 && pairs.round() >= 1.0, &format!("systems.{index}.share"), || {
-                let fits = |batch: &usize| {
-                    self.systems.iter().all(|system| {
-                        let pairs = system.share * *batch as f64;
-                        (pairs - pairs.round()).abs() < 1e-6 && pairs.round() >= 1.0
-                    })
-                };
-                let better = (1..=1000).filter(fits).min_by_key(|candidate| candidate.abs_diff(batch));
-                let advice = better.map_or(String::new(), |batch| format!("; training.batch = {batch} fits all shares"));
-                format!("{} of a batch of {batch} is {pairs} pairs, not a whole number of at least 1{advice}", system.share)
-            })?;
+            require(
+                (pairs - pairs.round()).abs() < 1e-6 && pairs.round() >= 1.0,
+                &format!("systems.{index}.share"),
+                || {
+                    let fits = |batch: &usize| {
+                        self.systems.iter().all(|system| {
+                            let pairs = system.share * *batch as f64;
+                            (pairs - pairs.round()).abs() < 1e-6 && pairs.round() >= 1.0
+                        })
+                    };
+                    let better = (1..=1000).filter(fits).min_by_key(|candidate| candidate.abs_diff(batch));
+                    let advice =
+                        better.map_or(String::new(), |batch| format!("; training.batch = {batch} fits all shares"));
+                    format!(
+                        "{} of a batch of {batch} is {pairs} pairs, not a whole number of at least 1{advice}",
+                        system.share
+                    )
+                },
+            )?;
         }
         if let Some(name) = &self.training.watch_system {
             let known = self.systems.iter().any(|system| &system.name == name);
@@ -83,7 +95,9 @@ impl Config {
         let key = "model.min_log_variance";
         match self.model.min_log_variance {
             MinLogVariance::Off => Ok(()),
-            MinLogVariance::BelowMean(nats) => require(nats.is_finite() && nats > 0.0, key, || format!("below_mean = {nats} is not positive")),
+            MinLogVariance::BelowMean(nats) => {
+                require(nats.is_finite() && nats > 0.0, key, || format!("below_mean = {nats} is not positive"))
+            }
             MinLogVariance::Absolute(values) => {
                 let fine = values.iter().all(|value| value.abs() <= 80.0);
                 require(fine, key, || format!("absolute = {values:?} must lie within ±80 (ln m², ln rad²)"))
@@ -108,7 +122,9 @@ impl Config {
         let rate = training.learning_rate;
         require(rate.is_finite() && rate > 0.0, "training.learning_rate", || format!("{rate} is not positive"))?;
         let tolerance = training.stop.tolerance;
-        require(tolerance.is_finite() && tolerance >= 0.0, "training.stop.tolerance", || format!("{tolerance} is negative"))
+        require(tolerance.is_finite() && tolerance >= 0.0, "training.stop.tolerance", || {
+            format!("{tolerance} is negative")
+        })
     }
 }
 

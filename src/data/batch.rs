@@ -66,7 +66,8 @@ impl PairNumbers {
     /// Moves the numbers to a device.
     pub fn upload(self, device: &Device) -> PairBatch {
         let [batch, height, width] = self.size;
-        let tensor = |values: Vec<f32>, shape: [usize; 4]| Tensor::<4>::from_data(TensorData::new(values, shape), device);
+        let tensor =
+            |values: Vec<f32>, shape: [usize; 4]| Tensor::<4>::from_data(TensorData::new(values, shape), device);
         PairBatch {
             source_image: tensor(self.source_image, [batch, 3, height, width]),
             target_image: tensor(self.target_image, [batch, 3, height, width]),

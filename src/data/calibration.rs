@@ -94,21 +94,31 @@ impl KeyedLines {
 
     fn numbers<const N: usize>(&self, key: &str) -> Result<[f64; N]> {
         let Some((line, values)) = self.lines.get(key) else {
-            return Err(Error::malformed(&self.path, Place::Field(key.to_owned()), "no such line", format!("`{key}:` with {N} numbers")));
+            return Err(Error::malformed(
+                &self.path,
+                Place::Field(key.to_owned()),
+                "no such line",
+                format!("`{key}:` with {N} numbers"),
+            ));
         };
         let place = Place::Line(*line);
         let numbers = parse_numbers(values, &self.path, &place)?;
         let count = numbers.len();
-        numbers
-            .try_into()
-            .map_err(|_| Error::malformed(&self.path, place, format!("`{key}` with {count} numbers"), format!("{N} numbers")))
+        numbers.try_into().map_err(|_| {
+            Error::malformed(&self.path, place, format!("`{key}` with {count} numbers"), format!("{N} numbers"))
+        })
     }
 
     fn rotation(&self, key: &str, translation: Vector3<f64>) -> Result<Pose> {
         let matrix = Matrix3::from_row_slice(&self.numbers::<9>(key)?);
         Pose::from_rounded_parts(matrix, translation, ROTATION_TOLERANCE).map_err(|deviation| {
             let place = Place::Line(self.lines[key].0);
-            Error::malformed(&self.path, place, format!("`{key}` with |RᵀR − I| = {deviation:.1e}"), "a rotation matrix")
+            Error::malformed(
+                &self.path,
+                place,
+                format!("`{key}` with |RᵀR − I| = {deviation:.1e}"),
+                "a rotation matrix",
+            )
         })
     }
 }

@@ -278,7 +278,9 @@ impl Loader<'_> {
         let (true_poses, systems) = &self.sources[index];
         let root = &self.config.data.root;
         let wanted_frame = |frame: usize| wanted.frames.is_none_or(|[first, end]| (first..end).contains(&frame));
-        let has_images = |&(source, target): &(usize, usize)| drive.images.contains_key(&source) && drive.images.contains_key(&target);
+        let has_images = |&(source, target): &(usize, usize)| {
+            drive.images.contains_key(&source) && drive.images.contains_key(&target)
+        };
         let has_depth = |&(_, target): &(usize, usize)| has_depth(&self.config.depth, drive, target, root);
 
         let pose_pairs: Vec<(usize, usize)> = true_poses
@@ -294,7 +296,9 @@ impl Loader<'_> {
         for (system, measurements) in systems.iter().enumerate() {
             let mut measured = 0;
             for (&(source, target), measured_pose) in &measurements.relative_poses {
-                let (Some(world_from_source), Some(world_from_target)) = (true_poses.get(&source), true_poses.get(&target)) else {
+                let (Some(world_from_source), Some(world_from_target)) =
+                    (true_poses.get(&source), true_poses.get(&target))
+                else {
                     continue;
                 };
                 if !wanted_frame(source) {
@@ -365,7 +369,13 @@ impl Loader<'_> {
 }
 
 /// Paper Eq. 2 in the axes of the error frame; both motions are given in vehicle axes.
-fn error_in_frame(frame: ErrorFrame, measured: &Pose, truth: &Pose, world_from_source: &Pose, drive: &Drive) -> Tangent {
+fn error_in_frame(
+    frame: ErrorFrame,
+    measured: &Pose,
+    truth: &Pose,
+    world_from_source: &Pose,
+    drive: &Drive,
+) -> Tangent {
     let axes_from_vehicle = match frame {
         ErrorFrame::Vehicle => Pose::identity(),
         ErrorFrame::Camera => drive.calibration.camera2_from_vehicle,

@@ -43,7 +43,9 @@ impl Drive {
         let Some(date) = date else {
             return Err(Error::config(
                 "data",
-                format!("drive `{name}` does not begin with a date; KITTI's names look like 2011_09_30_drive_0034_sync"),
+                format!(
+                    "drive `{name}` does not begin with a date; KITTI's names look like 2011_09_30_drive_0034_sync"
+                ),
             ));
         };
         let date_folder = root.join(date);
@@ -135,7 +137,10 @@ fn load_timestamps(folder: &Path, problems: &mut Vec<String>) -> BTreeMap<usize,
             }
             None => {
                 let place = Place::Line(frame + 1);
-                problems.push(Error::malformed(&path, place, format!("`{line}`"), "a time like 2011-09-30 12:40:59.409").to_string());
+                problems.push(
+                    Error::malformed(&path, place, format!("`{line}`"), "a time like 2011-09-30 12:40:59.409")
+                        .to_string(),
+                );
             }
         }
     }

@@ -85,8 +85,14 @@ mod tests {
 
     use super::*;
 
-    const PACKET: OxtsPacket =
-        OxtsPacket { latitude_deg: 49.0, longitude_deg: 8.4, altitude_m: 115.0, roll_rad: 0.02, pitch_rad: -0.01, yaw_rad: 0.7 };
+    const PACKET: OxtsPacket = OxtsPacket {
+        latitude_deg: 49.0,
+        longitude_deg: 8.4,
+        altitude_m: 115.0,
+        roll_rad: 0.02,
+        pitch_rad: -0.01,
+        yaw_rad: 0.7,
+    };
 
     #[test]
     fn a_millidegree_of_latitude_is_111_metres_north() {

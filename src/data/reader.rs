@@ -120,11 +120,8 @@ impl PairReader {
         let (source_image, target_image, target_depth) = match images {
             (Ok(source_image), Ok(target_image), Ok(target_depth)) => (source_image, target_image, target_depth),
             (source_image, target_image, target_depth) => {
-                let problems = [
-                    (source, source_image.err()),
-                    (target, target_image.err()),
-                    (target, target_depth.err()),
-                ];
+                let problems =
+                    [(source, source_image.err()), (target, target_image.err()), (target, target_depth.err())];
                 for (frame, problem) in problems {
                     if let Some(problem) = problem {
                         self.note_bad_frame(drive, frame, &problem)?;

@@ -13,7 +13,12 @@ const STEPS_PER_METRE: f32 = 256.0;
 
 /// Path of a frame's depth map from a template below `root`.
 pub(super) fn depth_path(template: &str, drive: &Drive, frame: usize, root: &Path) -> PathBuf {
-    root.join(template.replace("{date}", drive.date()).replace("{drive}", &drive.name).replace("{frame}", &format!("{frame:010}")))
+    root.join(
+        template
+            .replace("{date}", drive.date())
+            .replace("{drive}", &drive.name)
+            .replace("{frame}", &format!("{frame:010}")),
+    )
 }
 
 /// Reads a depth PNG at its own size.

@@ -9,7 +9,12 @@ use crate::geometry::Pinhole;
 /// `z = h / (n · K⁻¹p)` with the road's normal n in camera axes (y down). The horizon, an image row of
 /// this camera, gives its pitch; without one the camera looks level. Things that stand on the road
 /// get the depth of the road behind them.
-pub fn ground_plane_depth(camera: &Pinhole, camera_height_m: f64, horizon_px: Option<f64>, max_depth_m: f64) -> DepthMap {
+pub fn ground_plane_depth(
+    camera: &Pinhole,
+    camera_height_m: f64,
+    horizon_px: Option<f64>,
+    max_depth_m: f64,
+) -> DepthMap {
     // On the horizon n · K⁻¹p = 0, so tan(pitch) = (cy − horizon)/fy.
     let pitch = horizon_px.map_or(0.0, |row| ((camera.cy - row) / camera.fy).atan());
     let (normal_z, normal_y) = pitch.sin_cos();

@@ -26,7 +26,8 @@ pub fn read_scan(path: &Path) -> Result<Vec<Vector3<f32>>> {
             format!("a multiple of {POINT_BYTES} (x, y, z, reflectance as f32); the file may be cut off"),
         ));
     }
-    let coordinate = |point: &[u8], axis: usize| f32::from_le_bytes(point[4 * axis..4 * axis + 4].try_into().expect("4 bytes"));
+    let coordinate =
+        |point: &[u8], axis: usize| f32::from_le_bytes(point[4 * axis..4 * axis + 4].try_into().expect("4 bytes"));
     bytes
         .chunks_exact(POINT_BYTES)
         .enumerate()
@@ -107,7 +108,9 @@ mod tests {
     fn the_nearest_of_two_returns_wins_a_pixel() {
         let camera = Pinhole { fx: 10.0, fy: 10.0, cx: 4.0, cy: 4.0, width: 9, height: 9 };
         // Velodyne x forward is camera z.
-        let axes = nalgebra::Rotation3::from_matrix_unchecked(nalgebra::Matrix3::new(0.0, -1.0, 0.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0));
+        let axes = nalgebra::Rotation3::from_matrix_unchecked(nalgebra::Matrix3::new(
+            0.0, -1.0, 0.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0,
+        ));
         let camera_from_velodyne = Pose::new(axes, Vector3::zeros());
         let points = [Vector3::new(20.0, 0.0, 0.0), Vector3::new(8.0, 0.0, 0.0), Vector3::new(-5.0, 0.0, 0.0)];
         let map = project_scan(&points, &camera_from_velodyne, &camera);

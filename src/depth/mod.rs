@@ -57,7 +57,13 @@ pub fn has_depth(config: &DepthConfig, drive: &Drive, frame: usize, root: &Path)
 ///
 /// # Errors
 /// The frame's scan or depth file is missing or malformed.
-pub fn load_depth(config: &DepthConfig, drive: &Drive, frame: usize, root: &Path, camera: &Pinhole) -> Result<DepthMap> {
+pub fn load_depth(
+    config: &DepthConfig,
+    drive: &Drive,
+    frame: usize,
+    root: &Path,
+    camera: &Pinhole,
+) -> Result<DepthMap> {
     match config {
         DepthConfig::GroundPlane { camera_height_m, horizon_px, max_depth_m } => {
             let full = &drive.calibration.camera2;

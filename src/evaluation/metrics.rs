@@ -51,7 +51,8 @@ pub fn evaluate(variances: &[[f64; 6]], errors: &[[f64; 6]]) -> Option<Metrics> 
     let possible = variances.iter().flatten().all(|&variance| variance > 0.0);
     let erroneous = errors.iter().flatten().any(|&error| error != 0.0);
     let calibratable = possible && erroneous;
-    let z_squared: [Vec<f64>; 6] = std::array::from_fn(|c| column(&|variance, error, c| error[c] * error[c] / variance[c], c));
+    let z_squared: [Vec<f64>; 6] =
+        std::array::from_fn(|c| column(&|variance, error, c| error[c] * error[c] / variance[c], c));
     let nees: Vec<f64> = (0..errors.len()).map(|row| z_squared.iter().map(|column| column[row]).sum()).collect();
     let log_determinant = || variances.iter().flatten().map(|variance| variance.ln()).sum::<f64>() / rows;
     let mean_nees = nees.iter().sum::<f64>() / rows;

@@ -56,7 +56,13 @@ pub fn predict_split(
     let requests: Vec<Vec<Choice>> = choices.chunks(loading.micro_batch).map(<[Choice]>::to_vec).collect();
     let pairs = Arc::new(split.pairs.clone());
     let batches = requests.len();
-    let loader = BatchLoader::spawn(reader.clone(), pairs.clone(), requests.into_iter(), loading.loader_threads, loading.prefetch)?;
+    let loader = BatchLoader::spawn(
+        reader.clone(),
+        pairs.clone(),
+        requests.into_iter(),
+        loading.loader_threads,
+        loading.prefetch,
+    )?;
 
     let mut predictions = Vec::with_capacity(pairs.len());
     let mut loaded = 0;
@@ -65,7 +71,8 @@ pub fn predict_split(
         loaded += 1;
         let Some(numbers) = batch.numbers else { continue };
         let log_variances = model.forward(&numbers.upload(device));
-        let data = log_variances.try_into_data().map_err(|error| Error::Training(format!("the device failed: {error:?}")))?;
+        let data =
+            log_variances.try_into_data().map_err(|error| Error::Training(format!("the device failed: {error:?}")))?;
         let values: Vec<f64> = data.iter::<f64>().collect();
         for (&pair, log_variance) in batch.pairs.iter().zip(values.chunks_exact(6)) {
             let pair = &pairs[pair];

@@ -91,7 +91,10 @@ pub fn evaluate_run(
         let errors: Vec<[f64; 6]> = rows.iter().map(|row| row.error).collect();
         let variances: Vec<[f64; 6]> = rows.iter().map(|row| row.variance()).collect();
         let Some(mut relcov) = evaluate(&variances, &errors) else {
-            return Err(Error::Data(format!("split `{}`: no pair of system `{name}` could be evaluated", split.name())));
+            return Err(Error::Data(format!(
+                "split `{}`: no pair of system `{name}` could be evaluated",
+                split.name()
+            )));
         };
         relcov.at_floor = manifest.architecture.log_variance_floor.map(|floor| {
             let rows: Vec<Prediction> = rows.iter().map(|&row| row.clone()).collect();
@@ -116,7 +119,10 @@ pub fn evaluate_run(
         run: run.display().to_string(),
         split: split.name(),
         device,
-        unreadable_frames: bad_frames.iter().map(|bad| format!("{} frame {}: {}", bad.drive, bad.frame, bad.problem)).collect(),
+        unreadable_frames: bad_frames
+            .iter()
+            .map(|bad| format!("{} frame {}: {}", bad.drive, bad.frame, bad.problem))
+            .collect(),
         systems,
     })
 }
@@ -125,7 +131,12 @@ pub fn evaluate_run(
 ///
 /// # Errors
 /// They cannot be written.
-pub fn write_results(folder: &Path, evaluation: &Evaluation, predictions: &[Prediction], dataset: &Dataset) -> Result<()> {
+pub fn write_results(
+    folder: &Path,
+    evaluation: &Evaluation,
+    predictions: &[Prediction],
+    dataset: &Dataset,
+) -> Result<()> {
     let json = serde_json::to_string_pretty(evaluation).expect("an evaluation is JSON");
     write_atomically(&folder.join("evaluation.json"), json.as_bytes())?;
     let path = folder.join("pairs.csv");
@@ -153,6 +164,9 @@ fn pairs_csv(predictions: &[Prediction], dataset: &Dataset) -> Result<Vec<u8>, c
     writer.into_inner().map_err(|error| error.into_error().into())
 }
 
-fn as_map<K: Serialize, V: Serialize, S: serde::Serializer>(entries: &[(K, V)], serializer: S) -> Result<S::Ok, S::Error> {
+fn as_map<K: Serialize, V: Serialize, S: serde::Serializer>(
+    entries: &[(K, V)],
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
     serializer.collect_map(entries.iter().map(|(key, value)| (key, value)))
 }

@@ -61,7 +61,8 @@ mod tests {
 
     use super::*;
 
-    const CAMERA: Pinhole = Pinhole { fx: 707.0912, fy: 707.0912, cx: 601.8873, cy: 183.1104, width: 1226, height: 370 };
+    const CAMERA: Pinhole =
+        Pinhole { fx: 707.0912, fy: 707.0912, cx: 601.8873, cy: 183.1104, width: 1226, height: 370 };
 
     #[test]
     fn backprojection_inverts_projection() {

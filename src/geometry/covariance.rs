@@ -131,7 +131,10 @@ mod tests {
         matrix[(0, 1)] = 0.5;
         assert_eq!(Covariance6::from_matrix(matrix), Err(CovarianceError::NotSymmetric(0, 1)));
         matrix[(1, 0)] = f64::NAN;
-        assert!(matches!(Covariance6::from_matrix(matrix), Err(CovarianceError::NotSymmetric(..) | CovarianceError::NotFinite(..))));
+        assert!(matches!(
+            Covariance6::from_matrix(matrix),
+            Err(CovarianceError::NotSymmetric(..) | CovarianceError::NotFinite(..))
+        ));
         assert!(matches!(Covariance6::from_matrix(-Matrix6::identity()), Err(CovarianceError::NegativeVariance(_))));
     }
 }

@@ -28,7 +28,7 @@ pub struct CovarianceNetworkConfig {
     pub dropout: f64,
 }
 
-/// Maps two images to the six log-variances d of `R = D(exp(d))` (paper Table I, architecture of its [7]).
+/// Maps two images to the six log-variances d of `R = D(exp(d))` (paper Table I, architecture of its reference 7).
 ///
 /// Departures, where the paper is silent: ReLU after every layer but the last, zero padding of half
 /// the kernel, dropout after the activation of each convolution.
@@ -61,7 +61,10 @@ impl CovarianceNetworkConfig {
         });
         let mut fc2 = LinearConfig::new(HIDDEN_UNITS, OUTPUTS).init(device);
         fc2.weight = Param::from_tensor(Tensor::zeros([HIDDEN_UNITS, OUTPUTS], device)).set_require_grad(true);
-        fc2.bias = Some(Param::from_tensor(Tensor::<1>::from_floats(initial_log_variance.map(|d| d as f32), device)).set_require_grad(true));
+        fc2.bias = Some(
+            Param::from_tensor(Tensor::<1>::from_floats(initial_log_variance.map(|d| d as f32), device))
+                .set_require_grad(true),
+        );
         CovarianceNetwork {
             c1,
             c2,
@@ -77,7 +80,9 @@ impl CovarianceNetworkConfig {
     /// Values that reach fc1: outputs of c5 times its height and width.
     pub fn features(&self) -> usize {
         let size = |input: usize| {
-            CONVOLUTIONS.iter().fold(input, |size, &(kernel, stride, _)| (size + 2 * (kernel / 2) - kernel) / stride + 1)
+            CONVOLUTIONS
+                .iter()
+                .fold(input, |size, &(kernel, stride, _)| (size + 2 * (kernel / 2) - kernel) / stride + 1)
         };
         let (_, _, outputs) = CONVOLUTIONS[CONVOLUTIONS.len() - 1];
         outputs * size(self.height) * size(self.width)

@@ -19,7 +19,8 @@ pub fn mde_table(evaluation: &Evaluation) -> String {
     for column in table.column_iter_mut().skip(2) {
         column.set_cell_alignment(CellAlignment::Right);
     }
-    let pairs: Vec<String> = evaluation.systems.iter().map(|(name, results)| format!("{} {name}", results.pairs)).collect();
+    let pairs: Vec<String> =
+        evaluation.systems.iter().map(|(name, results)| format!("{} {name}", results.pairs)).collect();
     let note = "MDE alone is an improper score (a prediction of zero can win it): read it with NLL (lower is better) and ANEES (1 is calibrated).";
     format!(
         "MDE = median sqrt|R - e^2|, split {}, pairs: {}\nerror frame: {} ({}); e = log(measured * truth^-1)\n{table}\n{note}\n",
@@ -54,7 +55,14 @@ mod tests {
 
     #[test]
     fn numbers_have_three_significant_digits() {
-        for (value, text) in [(0.0, "0"), (0.04937, "0.0494"), (0.00123, "0.00123"), (2.76e-6, "2.76e-6"), (12.34, "12.3"), (4e-4, "4.00e-4")] {
+        for (value, text) in [
+            (0.0, "0"),
+            (0.04937, "0.0494"),
+            (0.00123, "0.00123"),
+            (2.76e-6, "2.76e-6"),
+            (12.34, "12.3"),
+            (4e-4, "4.00e-4"),
+        ] {
             assert_eq!(three_digits(value), text);
         }
     }

@@ -46,7 +46,12 @@ pub fn load_true_poses(truth: &TruthConfig, drive: &Drive, root: &Path) -> Resul
 /// # Errors
 /// The measurement file is malformed. A file that does not exist gives no measurements and is named
 /// in the result.
-pub fn load_measurements(source: &SystemSource, drive: &Drive, root: &Path, true_poses: &Trajectory) -> Result<Measurements> {
+pub fn load_measurements(
+    source: &SystemSource,
+    drive: &Drive,
+    root: &Path,
+    true_poses: &Trajectory,
+) -> Result<Measurements> {
     let found = |frame, relative_poses| Measurements { frame, relative_poses, missing_file: None };
     let missing = |frame, path| Measurements { frame, relative_poses: BTreeMap::new(), missing_file: Some(path) };
     Ok(match source {
@@ -62,7 +67,10 @@ pub fn load_measurements(source: &SystemSource, drive: &Drive, root: &Path, true
                 return Ok(missing(config.frame, path));
             }
             let poses = parse_relative_poses(&read_text(&path)?, &path)?;
-            found(config.frame, poses.into_iter().map(|pose| ((pose.source, pose.target), pose.source_from_target)).collect())
+            found(
+                config.frame,
+                poses.into_iter().map(|pose| ((pose.source, pose.target), pose.source_from_target)).collect(),
+            )
         }
     })
 }
@@ -76,7 +84,8 @@ fn load_trajectory(config: &TrajectoryConfig, drive: &Drive, root: &Path) -> Res
     let trajectory = match config.format {
         TrajectoryFormat::Kitti => {
             let by_sequence = config.path.contains("{sequence}");
-            let first_frame = odometry_sequence(drive.short_name()).filter(|_| by_sequence).map_or(0, |cut| cut.first_frame);
+            let first_frame =
+                odometry_sequence(drive.short_name()).filter(|_| by_sequence).map_or(0, |cut| cut.first_frame);
             parse_kitti_trajectory(&text, &path, first_frame)?
         }
         TrajectoryFormat::Tum => parse_tum_trajectory(&text, &path, &drive.timestamps_s, TUM_TOLERANCE_S)?,
@@ -98,5 +107,7 @@ fn consecutive(trajectory: &Trajectory) -> BTreeMap<(usize, usize), Pose> {
 
 fn expand(template: &str, drive: &Drive, root: &Path) -> PathBuf {
     let sequence = odometry_sequence(drive.short_name()).map_or("none", |sequence| sequence.number);
-    root.join(template.replace("{drive}", drive.short_name()).replace("{date}", drive.date()).replace("{sequence}", sequence))
+    root.join(
+        template.replace("{drive}", drive.short_name()).replace("{date}", drive.date()).replace("{sequence}", sequence),
+    )
 }

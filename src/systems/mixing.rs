@@ -4,9 +4,12 @@
 
 use std::ops::Range;
 
+use rand::SeedableRng;
 use rand::seq::SliceRandom;
-use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+
+/// Purpose of the random stream that orders pairs within a batch; smaller ones are systems.
+const ORDER_IN_BATCH: usize = (1 << 24) - 1;
 
 /// The pairs of one mini-batch, as indices into a split, in random order.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -48,7 +51,7 @@ impl Mixer {
                 pairs.push(system.pair(self.seed, index, draw));
             }
         }
-        pairs.shuffle(&mut stream(self.seed, &[u64::MAX, batch as u64]));
+        pairs.shuffle(&mut stream(self.seed, ORDER_IN_BATCH, batch));
         BatchPlan { pairs }
     }
 }
@@ -59,7 +62,7 @@ impl MixedSystem {
         let pass = draw / self.pairs.len();
         if self.pass.as_ref().is_none_or(|(current, _)| *current != pass) {
             let mut order: Vec<usize> = self.pairs.clone().collect();
-            order.shuffle(&mut stream(seed, &[system as u64, pass as u64]));
+            order.shuffle(&mut stream(seed, system, pass));
             self.pass = Some((pass, order));
         }
         let (_, order) = self.pass.as_ref().expect("just set");
@@ -67,12 +70,11 @@ impl MixedSystem {
     }
 }
 
-/// An independent random stream for each list of labels.
-fn stream(seed: u64, labels: &[u64]) -> ChaCha8Rng {
-    labels.iter().fold(ChaCha8Rng::seed_from_u64(seed), |mut parent, &label| {
-        let mixed = parent.random::<u64>() ^ label.wrapping_mul(0x9E37_79B9_7F4A_7C15);
-        ChaCha8Rng::seed_from_u64(mixed)
-    })
+/// An independent random stream for every purpose and index.
+fn stream(seed: u64, purpose: usize, index: usize) -> ChaCha8Rng {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    random.set_stream(((purpose as u64) << 40) | index as u64);
+    random
 }
 
 #[cfg(test)]

@@ -60,7 +60,8 @@ pub fn parse_relative_poses(text: &str, path: &Path) -> Result<Vec<RelativePose>
             return Err(malformed(found, "increasing pairs, each once"));
         }
         let translation = Vector3::new(values[2], values[3], values[4]);
-        let source_from_target = pose_from_quaternion(translation, [values[5], values[6], values[7], values[8]], path, &place)?;
+        let source_from_target =
+            pose_from_quaternion(translation, [values[5], values[6], values[7], values[8]], path, &place)?;
         let covariance = match &values[POSE_COLUMNS..] {
             [] => None,
             entries => Some(
@@ -84,7 +85,8 @@ mod tests {
     #[test]
     fn a_row_may_carry_its_covariance() {
         let identity: Vec<&str> = (0..36).map(|k| if k % 7 == 0 { "0.5" } else { "0" }).collect();
-        let text = format!("source,target,x,y,z,qx,qy,qz,qw\n4,5,1,0,0,0,0,0,1\n5,6,1,2,3,0,0,0,1,{}\n", identity.join(","));
+        let text =
+            format!("source,target,x,y,z,qx,qy,qz,qw\n4,5,1,0,0,0,0,0,1\n5,6,1,2,3,0,0,0,1,{}\n", identity.join(","));
         let poses = parse(&text).unwrap();
         assert_eq!((poses[0].source, poses[0].covariance.is_some()), (4, false));
         assert_eq!(poses[1].covariance.unwrap().variance()[5], 0.5);

@@ -47,8 +47,11 @@ pub fn parse_kitti_trajectory(text: &str, path: &Path, first_frame: usize) -> Re
             return Err(malformed(format!("frame {frame} after frame {last}"), "increasing frame indices, each once"));
         }
         let matrix = Matrix3x4::from_row_slice(matrix);
-        let pose = Pose::from_rounded_parts(matrix.fixed_columns::<3>(0).into(), matrix.column(3).into(), ROTATION_TOLERANCE)
-            .map_err(|deviation| malformed(format!("|RᵀR − I| = {deviation:.1e}"), "a rotation matrix in the left 3x3 block"))?;
+        let pose =
+            Pose::from_rounded_parts(matrix.fixed_columns::<3>(0).into(), matrix.column(3).into(), ROTATION_TOLERANCE)
+                .map_err(|deviation| {
+                    malformed(format!("|RᵀR − I| = {deviation:.1e}"), "a rotation matrix in the left 3x3 block")
+                })?;
         trajectory.insert(frame, pose);
     }
     Ok(trajectory)
@@ -118,11 +121,21 @@ pub(super) fn parse_frame_index(value: f64, path: &Path, place: &Place) -> Resul
 }
 
 /// A pose from translation and quaternion `x y z w`, which is normalised.
-pub(super) fn pose_from_quaternion(translation: Vector3<f64>, [x, y, z, w]: [f64; 4], path: &Path, place: &Place) -> Result<Pose> {
+pub(super) fn pose_from_quaternion(
+    translation: Vector3<f64>,
+    [x, y, z, w]: [f64; 4],
+    path: &Path,
+    place: &Place,
+) -> Result<Pose> {
     let quaternion = Quaternion::new(w, x, y, z);
     let norm = quaternion.norm();
     if (norm - 1.0).abs() > QUATERNION_TOLERANCE {
-        return Err(Error::malformed(path, place.clone(), format!("a quaternion of length {norm:.4}"), "qx qy qz qw of length 1"));
+        return Err(Error::malformed(
+            path,
+            place.clone(),
+            format!("a quaternion of length {norm:.4}"),
+            "qx qy qz qw of length 1",
+        ));
     }
     let rotation: Rotation3<f64> = UnitQuaternion::from_quaternion(quaternion).to_rotation_matrix();
     Ok(Pose::new(rotation, translation))
@@ -179,11 +192,14 @@ mod tests {
     #[test]
     fn tum_rows_find_their_frames_by_time() {
         let frames = BTreeMap::from([(10, 100.0), (11, 100.1), (12, 100.2)]);
-        let text = "# t x y z qx qy qz qw\n99.0 0 0 0 0 0 0 1\n100.004 1 0 0 0 0 0 1\n100.195 2 0 0 0 0 0.7071068 0.7071068\n";
+        let text =
+            "# t x y z qx qy qz qw\n99.0 0 0 0 0 0 0 1\n100.004 1 0 0 0 0 0 1\n100.195 2 0 0 0 0 0.7071068 0.7071068\n";
         let trajectory = parse_tum_trajectory(text, Path::new("t"), &frames, 0.02).unwrap();
         assert_eq!(trajectory.keys().copied().collect::<Vec<_>>(), [10, 12]);
         assert_relative_eq!(trajectory[&12].log()[5], std::f64::consts::FRAC_PI_2, epsilon = 1e-6);
         let far = BTreeMap::from([(0, 0.0)]);
-        assert!(parse_tum_trajectory(text, Path::new("t"), &far, 0.02).unwrap_err().to_string().contains("none within"));
+        assert!(
+            parse_tum_trajectory(text, Path::new("t"), &far, 0.02).unwrap_err().to_string().contains("none within")
+        );
     }
 }

@@ -56,14 +56,16 @@ mod tests {
 
     /// First epoch, counted from 1, at which the rule stops.
     fn stops_at(rule: DivergenceRule, training: impl Fn(f64) -> f64, evaluation: impl Fn(f64) -> f64) -> Option<usize> {
-        let curve = |f: &dyn Fn(f64) -> f64, epochs: usize| (1..=epochs).map(|epoch| f(epoch as f64)).collect::<Vec<_>>();
+        let curve =
+            |f: &dyn Fn(f64) -> f64, epochs: usize| (1..=epochs).map(|epoch| f(epoch as f64)).collect::<Vec<_>>();
         (1..=100).find(|&epochs| rule.diverged(&curve(&training, epochs), &curve(&evaluation, epochs)))
     }
 
     #[test]
     fn overfitting_stops_soon_after_the_turn() {
         // The evaluation loss turns at epoch 20.
-        let epoch = stops_at(rule(), |t| -0.1 * t, |t| if t < 20.0 { -0.1 * t } else { -2.0 + 0.05 * (t - 20.0) }).unwrap();
+        let epoch =
+            stops_at(rule(), |t| -0.1 * t, |t| if t < 20.0 { -0.1 * t } else { -2.0 + 0.05 * (t - 20.0) }).unwrap();
         assert!((24..=29).contains(&epoch), "{epoch}");
     }
 

@@ -57,11 +57,15 @@ impl History {
     /// The table `metrics.csv`: one row an epoch, losses in nats.
     pub fn to_csv(&self, systems: &[String]) -> String {
         let losses = |kind: &str| systems.iter().map(|system| format!(",{kind}_loss_{system}")).collect::<String>();
-        let mut csv = format!("epoch,batches{}{},at_floor,pairs_per_second\n", losses("training"), losses("evaluation"));
+        let mut csv =
+            format!("epoch,batches{}{},at_floor,pairs_per_second\n", losses("training"), losses("evaluation"));
         for row in &self.rows {
             let training: String = row.training_loss.iter().map(|loss| format!(",{loss:.6}")).collect();
-            let evaluation: String =
-                row.evaluation_loss.iter().map(|loss| loss.map_or(",".to_owned(), |loss| format!(",{loss:.6}"))).collect();
+            let evaluation: String = row
+                .evaluation_loss
+                .iter()
+                .map(|loss| loss.map_or(",".to_owned(), |loss| format!(",{loss:.6}")))
+                .collect();
             csv += &format!(
                 "{},{}{training}{evaluation},{:.4},{:.2}\n",
                 row.epoch, row.batches, row.at_floor, row.pairs_per_second

@@ -12,23 +12,22 @@ use burn::module::Module;
 use burn::optim::{AdamConfig, GradientsAccumulator, ModuleOptimizer};
 use burn::tensor::{Device, Tensor};
 use burn::train::TrainStep;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 
 use super::divergence::DivergenceRule;
 use super::history::{EpochRow, History};
-use super::run_folder::{Manifest, RunFolder, SystemSummary};
-use crate::config::{Config, MinLogVariance, WatchedSplit};
+use super::run_folder::{Manifest, RunFolder};
+use super::setup::{architecture, constant_loss, describe, watched_split, watched_system};
+use crate::config::Config;
 use crate::data::{BatchLoader, Choice, Dataset, LoadedBatch, PairReader, SplitName};
-use crate::device::device_name;
 use crate::error::{Error, Result};
-use crate::evaluation::{Prediction, predict_split};
-use crate::geometry::Conventions;
-use crate::model::{Architecture, CovarianceModel, MicroBatch};
+use crate::evaluation::predict_split;
+use crate::model::{CovarianceModel, MicroBatch};
 use crate::systems::Mixer;
 
 /// Adam's ε: PyTorch's, as the paper's program had it (Burn's default is 1e-5).
 const ADAM_EPSILON: f32 = 1e-8;
-/// Least variance an initial log-variance stands for: that of a system without any error, ln m² or ln rad².
-const LEAST_MEAN_SQUARED_ERROR: f64 = 1e-16;
 /// Longest time between two saved states, so that a killed run loses little.
 const SAVE_EVERY: Duration = Duration::from_secs(600);
 
@@ -122,7 +121,10 @@ impl Learner {
         let manifest = run.manifest()?;
         let now = describe(&config, &dataset, device);
         if manifest.data_fingerprint != now.data_fingerprint {
-            return Err(Error::run(run.path(), "was started with other data (pairs or errors differ); give it the same data, or start a new run"));
+            return Err(Error::run(
+                run.path(),
+                "was started with other data (pairs or errors differ); give it the same data, or start a new run",
+            ));
         }
         if manifest.architecture != now.architecture || manifest.seed != now.seed {
             return Err(Error::run(run.path(), "was started with another model or seed; start a new run for those"));
@@ -246,8 +248,9 @@ impl Learner {
         let mut losses: Vec<(usize, Tensor<1>)> = Vec::new();
         let mut sources: Vec<usize> = Vec::new();
         for part in 0..size.div_ceil(self.config.training.micro_batch) {
-            let LoadedBatch { pairs, numbers } =
-                loader.next().ok_or_else(|| Error::Training("the data loader ended early; its message stands above".to_owned()))??;
+            let LoadedBatch { pairs, numbers } = loader
+                .next()
+                .ok_or_else(|| Error::Training("the data loader ended early; its message stands above".to_owned()))??;
             let numbers = numbers.expect("training pairs are substituted, never left out");
             // Dropout is a function of seed, batch and part, so that a resumed run repeats it.
             self.device.seed(step_seed(self.config.seed, batch, part));
@@ -277,7 +280,8 @@ impl Learner {
     fn read_losses(&self, losses: Vec<(usize, Tensor<1>)>) -> Result<Vec<f64>> {
         let mut values = Vec::new();
         for (_, loss) in losses {
-            let data = loss.try_into_data().map_err(|error| Error::Training(format!("the device failed: {error:?}")))?;
+            let data =
+                loss.try_into_data().map_err(|error| Error::Training(format!("the device failed: {error:?}")))?;
             values.extend(data.iter::<f64>());
         }
         Ok(values)
@@ -318,7 +322,8 @@ impl Learner {
 
     fn evaluate(&self) -> Result<WatchedLosses> {
         let split = self.dataset.split(watched_split(&self.config));
-        let predictions = predict_split(&self.model.valid(), &self.reader, split, &self.config.training, &self.device, &mut |_| {})?;
+        let predictions =
+            predict_split(&self.model.valid(), &self.reader, split, &self.config.training, &self.device, &mut |_| {})?;
         let floor = architecture(&self.config, &self.dataset).log_variance_floor;
         Ok(WatchedLosses {
             losses: predictions.iter().map(|prediction| (prediction.system, prediction.loss())).collect(),
@@ -354,7 +359,13 @@ impl Learner {
             choices.chunks(micro_batch).map(<[Choice]>::to_vec).collect::<Vec<_>>()
         });
         let training = &self.config.training;
-        BatchLoader::spawn(self.reader.clone(), Arc::new(split.pairs.clone()), requests, training.loader_threads, training.prefetch)
+        BatchLoader::spawn(
+            self.reader.clone(),
+            Arc::new(split.pairs.clone()),
+            requests,
+            training.loader_threads,
+            training.prefetch,
+        )
     }
 }
 
@@ -364,90 +375,10 @@ struct WatchedLosses {
     at_floor: f64,
 }
 
-/// The model's shape: configuration plus the floor, which depends on the training errors.
-fn architecture(config: &Config, dataset: &Dataset) -> Architecture {
-    let mean = initial_log_variance(config, dataset);
-    Architecture {
-        height: config.model.height,
-        width: config.model.width,
-        input: config.model.input,
-        dropout: config.model.dropout,
-        log_variance_floor: match config.model.min_log_variance {
-            MinLogVariance::Off => None,
-            MinLogVariance::BelowMean(nats) => Some(mean.map(|d| d - nats)),
-            MinLogVariance::Absolute(floor) => Some(floor),
-        },
-    }
-}
-
-/// ln(mean e²) of the mixed training set: the best constant for its loss.
-fn initial_log_variance(config: &Config, dataset: &Dataset) -> [f64; 6] {
-    let mean: nalgebra::Vector6<f64> = config
-        .systems
-        .iter()
-        .enumerate()
-        .map(|(index, system)| system.share * dataset.train.mean_squared_error(index))
-        .sum();
-    mean.map(|value| value.max(LEAST_MEAN_SQUARED_ERROR).ln()).into()
-}
-
-fn describe(config: &Config, dataset: &Dataset, device: &Device) -> Manifest {
-    let systems = config.systems.iter().enumerate().map(|(index, system)| SystemSummary {
-        name: system.name.clone(),
-        share: system.share,
-        training_pairs: dataset.train.systems[index].len(),
-        mean_squared_error: dataset.train.mean_squared_error(index).into(),
-    });
-    Manifest::new(
-        device_name(device),
-        config.seed,
-        Conventions::new(config.data.error_frame),
-        architecture(config, dataset),
-        initial_log_variance(config, dataset),
-        systems.collect(),
-        dataset.fingerprint(),
-    )
-}
-
-/// Loss of the constant predictor of each system on the watched split.
-fn constant_loss(dataset: &Dataset, watched: SplitName, manifest: &Manifest) -> Vec<Option<f64>> {
-    let split = dataset.split(watched);
-    manifest
-        .systems
-        .iter()
-        .zip(&split.systems)
-        .map(|(system, range)| {
-            let usable = !range.is_empty() && system.mean_squared_error.iter().all(|&value| value > 0.0);
-            usable.then(|| {
-                let log_variance = system.mean_squared_error.map(f64::ln);
-                let losses = split.pairs[range.clone()].iter().map(|pair| {
-                    Prediction { pair: pair.id, system: pair.system, error: pair.error.into(), log_variance }.loss()
-                });
-                losses.sum::<f64>() / range.len() as f64
-            })
-        })
-        .collect()
-}
-
-fn watched_split(config: &Config) -> SplitName {
-    match config.training.watch {
-        WatchedSplit::Validation => SplitName::Validation,
-        WatchedSplit::Test => SplitName::Test,
-    }
-}
-
-fn watched_system(config: &Config) -> usize {
-    let name = config.training.watch_system.as_deref();
-    config.systems.iter().position(|system| Some(system.name.as_str()) == name).unwrap_or(0)
-}
-
+/// Seed of dropout in one part of one mini-batch.
 fn step_seed(seed: u64, batch: usize, part: usize) -> u64 {
-    // SplitMix64 of the three numbers.
-    let mixed = [batch as u64, part as u64].into_iter().fold(seed, |state, value| {
-        let mut z = (state ^ value).wrapping_add(0x9E37_79B9_7F4A_7C15);
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
-    });
-    mixed
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    random.set_stream(batch as u64);
+    random.set_word_pos(2 * part as u128);
+    random.next_u64()
 }

@@ -8,6 +8,7 @@ mod divergence;
 mod history;
 mod learner;
 mod run_folder;
+mod setup;
 
 pub use divergence::DivergenceRule;
 pub use history::{EpochRow, History};

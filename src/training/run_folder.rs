@@ -146,7 +146,10 @@ impl RunFolder {
             return Err(Error::run(path, "no such folder; `relcov train` makes run folders below `checkpoints`"));
         }
         if !path.join(MANIFEST).is_file() {
-            return Err(Error::run(path, format!("holds no {MANIFEST}, so no run was started here; expected a folder made by `relcov train`")));
+            return Err(Error::run(
+                path,
+                format!("holds no {MANIFEST}, so no run was started here; expected a folder made by `relcov train`"),
+            ));
         }
         Ok(Self { path: path.to_owned() })
     }
@@ -177,17 +180,27 @@ impl RunFolder {
     /// It is unreadable, of another layout, or made under other conventions.
     pub fn manifest(&self) -> Result<Manifest> {
         let path = self.path.join(MANIFEST);
-        let manifest: Manifest = serde_json::from_str(&read_text(&path)?)
-            .map_err(|error| Error::malformed(&path, Place::Whole, error.to_string(), "the manifest of a relcov run"))?;
+        let manifest: Manifest = serde_json::from_str(&read_text(&path)?).map_err(|error| {
+            Error::malformed(&path, Place::Whole, error.to_string(), "the manifest of a relcov run")
+        })?;
         if manifest.layout != LAYOUT {
-            let problem = format!("has layout {} and this program (relcov {}) reads {LAYOUT}; use relcov {}", manifest.layout, env!("CARGO_PKG_VERSION"), manifest.relcov_version);
+            let problem = format!(
+                "has layout {} and this program (relcov {}) reads {LAYOUT}; use relcov {}",
+                manifest.layout,
+                env!("CARGO_PKG_VERSION"),
+                manifest.relcov_version
+            );
             return Err(Error::run(&self.path, problem));
         }
         let ours = Conventions::new(manifest.conventions.error_frame);
         if manifest.conventions != ours {
             return Err(Error::run(
                 &self.path,
-                format!("was made under other conventions: {}; this program uses {}", json(&manifest.conventions), json(&ours)),
+                format!(
+                    "was made under other conventions: {}; this program uses {}",
+                    json(&manifest.conventions),
+                    json(&ours)
+                ),
             ));
         }
         Ok(manifest)
@@ -215,7 +228,12 @@ impl RunFolder {
     pub fn load_model(&self, manifest: &Manifest, device: &Device) -> Result<CovarianceModel> {
         let path = self.path.join(MODEL);
         if !path.is_file() {
-            return Err(Error::run(&self.path, format!("holds no {MODEL} yet: the first epoch was not finished; continue with `relcov train --resume`")));
+            return Err(Error::run(
+                &self.path,
+                format!(
+                    "holds no {MODEL} yet: the first epoch was not finished; continue with `relcov train --resume`"
+                ),
+            ));
         }
         let mut model = manifest.architecture.init(manifest.initial_log_variance, device);
         let expected = || {
@@ -236,7 +254,13 @@ impl RunFolder {
     ///
     /// # Errors
     /// It cannot be written; the previous state stays.
-    pub fn save_state(&self, model: &CovarianceModel, optimiser: &ModuleOptimizer, history: &History, systems: &[String]) -> Result<()> {
+    pub fn save_state(
+        &self,
+        model: &CovarianceModel,
+        optimiser: &ModuleOptimizer,
+        history: &History,
+        systems: &[String],
+    ) -> Result<()> {
         let name = format!("{STATE_PREFIX}{:09}", history.batches);
         let folder = self.path.join(&name);
         let temporary = self.temporary(&name);
@@ -264,29 +288,53 @@ impl RunFolder {
     ///
     /// # Errors
     /// There is none, or it is damaged.
-    pub fn load_state(&self, model: CovarianceModel, optimiser: ModuleOptimizer) -> Result<(CovarianceModel, ModuleOptimizer, History)> {
+    pub fn load_state(
+        &self,
+        model: CovarianceModel,
+        optimiser: ModuleOptimizer,
+    ) -> Result<(CovarianceModel, ModuleOptimizer, History)> {
         let Some(folder) = self.states()?.pop() else {
-            return Err(Error::run(&self.path, "holds no saved state; start anew with `relcov train --config … --force`"));
+            return Err(Error::run(
+                &self.path,
+                "holds no saved state; start anew with `relcov train --config … --force`",
+            ));
         };
         let damaged = |file: &str, error: &dyn std::fmt::Display| {
-            Error::malformed(folder.join(file), Place::Whole, first_line(&error.to_string()), "a state saved by this version of relcov")
+            Error::malformed(
+                folder.join(file),
+                Place::Whole,
+                first_line(&error.to_string()),
+                "a state saved by this version of relcov",
+            )
         };
         let path = folder.join(STATE_HISTORY);
-        let history: History = serde_json::from_str(&read_text(&path)?).map_err(|error| damaged(STATE_HISTORY, &error))?;
+        let history: History =
+            serde_json::from_str(&read_text(&path)?).map_err(|error| damaged(STATE_HISTORY, &error))?;
         let record = ModuleRecord::load(folder.join(STATE_MODEL)).map_err(|error| damaged(STATE_MODEL, &error))?;
         let model = model.try_load_record(record).map_err(|error| damaged(STATE_MODEL, &error))?;
-        let record = OptimizerRecord::load(folder.join(STATE_OPTIMISER)).map_err(|error| damaged(STATE_OPTIMISER, &error))?;
+        let record =
+            OptimizerRecord::load(folder.join(STATE_OPTIMISER)).map_err(|error| damaged(STATE_OPTIMISER, &error))?;
         Ok((model, optimiser.load_record(record), history))
     }
 
-    fn write_state(&self, folder: &Path, model: &CovarianceModel, optimiser: &ModuleOptimizer, history: &History) -> Result<()> {
+    fn write_state(
+        &self,
+        folder: &Path,
+        model: &CovarianceModel,
+        optimiser: &ModuleOptimizer,
+        history: &History,
+    ) -> Result<()> {
         if folder.exists() {
             std::fs::remove_dir_all(folder).map_err(Error::io("remove", folder))?;
         }
         std::fs::create_dir(folder).map_err(Error::io("create the folder", folder))?;
         let failed = |file: &str| {
             let path = folder.join(file);
-            move |error: burn::store::RecordError| Error::Io { action: "write", path, source: std::io::Error::other(error.to_string()) }
+            move |error: burn::store::RecordError| Error::Io {
+                action: "write",
+                path,
+                source: std::io::Error::other(error.to_string()),
+            }
         };
         model.clone().into_record().save(folder.join(STATE_MODEL)).map_err(failed(STATE_MODEL))?;
         optimiser.to_record().save(folder.join(STATE_OPTIMISER)).map_err(failed(STATE_OPTIMISER))?;

@@ -76,12 +76,25 @@ fn wrong_usage_exits_with_2() {
 fn a_run_trains_evaluates_and_leaves_a_whole_folder() {
     let made = Made::new();
     let table = contains("MDE").and(contains("vehicle")).and(contains("x [m]")).and(contains("yaw [rad]"));
-    made.train(&[]).assert().success().stdout(table.and(contains("relcov")).and(contains("zero")).and(contains("constant")));
+    made.train(&[])
+        .assert()
+        .success()
+        .stdout(table.and(contains("relcov")).and(contains("zero")).and(contains("constant")));
     let run = made.path("runs/tiny");
-    for file in ["config.toml", "manifest.json", "metrics.csv", "losses.svg", "model.safetensors", "evaluation.json", "pairs.csv"] {
+    for file in [
+        "config.toml",
+        "manifest.json",
+        "metrics.csv",
+        "losses.svg",
+        "model.safetensors",
+        "evaluation.json",
+        "pairs.csv",
+    ] {
         assert!(run.join(file).is_file(), "{file}");
     }
-    let leftovers = std::fs::read_dir(&run).unwrap().filter(|entry| entry.as_ref().unwrap().file_name().to_string_lossy().starts_with('.'));
+    let leftovers = std::fs::read_dir(&run)
+        .unwrap()
+        .filter(|entry| entry.as_ref().unwrap().file_name().to_string_lossy().starts_with('.'));
     assert_eq!(leftovers.count(), 0, "nothing half-written stays");
 
     let evaluation: serde_json::Value = serde_json::from_str(&read(run.join("evaluation.json"))).unwrap();
@@ -97,7 +110,14 @@ fn a_run_trains_evaluates_and_leaves_a_whole_folder() {
     let first = read(run.join("evaluation.json"));
     relcov().arg("eval").arg("--run").arg(&run).assert().success();
     assert_eq!(first, read(run.join("evaluation.json")));
-    relcov().arg("eval").arg("--run").arg(&run).args(["--split", "validation"]).assert().success().stdout(contains("validation"));
+    relcov()
+        .arg("eval")
+        .arg("--run")
+        .arg(&run)
+        .args(["--split", "validation"])
+        .assert()
+        .success()
+        .stdout(contains("validation"));
 }
 
 #[test]
@@ -114,7 +134,10 @@ fn the_same_seed_gives_the_same_run() {
 /// The loss columns of `metrics.csv`.
 fn losses(run: &Path) -> Vec<Vec<f64>> {
     let text = read(run.join("metrics.csv"));
-    text.lines().skip(1).map(|row| row.split(',').skip(2).take(4).map(|value| value.parse().unwrap()).collect()).collect()
+    text.lines()
+        .skip(1)
+        .map(|row| row.split(',').skip(2).take(4).map(|value| value.parse().unwrap()).collect())
+        .collect()
 }
 
 #[test]
@@ -164,16 +187,45 @@ fn bad_input_is_named_and_exits_with_1() {
     let oxts = "oxts/data/0000000002.txt";
     let calibration = "data/2020_01_01/calib_cam_to_cam.txt";
     let odometry = "vo/2020_01_01_drive_0001.txt";
-    let cases: [(&str, &dyn Fn(&Made), &[&str]); 9] = [
-        ("missing file", &|made| std::fs::remove_file(made.path(calibration)).unwrap(), &["calib_cam_to_cam.txt", "cannot read"]),
-        ("short packet", &|made| std::fs::write(made.drive(oxts), "49 8 115").unwrap(), &["0000000002.txt, line 1", "3 values", "30"]),
+    type Case<'a> = (&'a str, &'a dyn Fn(&Made), &'a [&'a str]);
+    let cases: [Case; 9] = [
+        (
+            "missing file",
+            &|made| std::fs::remove_file(made.path(calibration)).unwrap(),
+            &["calib_cam_to_cam.txt", "cannot read"],
+        ),
+        (
+            "short packet",
+            &|made| std::fs::write(made.drive(oxts), "49 8 115").unwrap(),
+            &["0000000002.txt, line 1", "3 values", "30"],
+        ),
         ("NaN packet", &|made| edit(&made.drive(oxts), "115", "nan"), &["0000000002.txt, line 1", "`nan`"]),
-        ("missing key", &|made| edit(&made.path(calibration), "P_rect_02", "P_rect_09"), &["calib_cam_to_cam.txt", "P_rect_02"]),
-        ("short key", &|made| edit(&made.path(calibration), "R_rect_00: 1 0 0", "R_rect_00: 1 0"), &["line 2", "8 numbers"]),
+        (
+            "missing key",
+            &|made| edit(&made.path(calibration), "P_rect_02", "P_rect_09"),
+            &["calib_cam_to_cam.txt", "P_rect_02"],
+        ),
+        (
+            "short key",
+            &|made| edit(&made.path(calibration), "R_rect_00: 1 0 0", "R_rect_00: 1 0"),
+            &["line 2", "8 numbers"],
+        ),
         ("no rotation", &|made| edit(&made.path(calibration), "R_rect_00: 1", "R_rect_00: 2"), &["line 2", "rotation"]),
-        ("short pose", &|made| edit_file(&made.path("data").join(odometry), |text| text.replacen("1.000000000000e0 ", "", 1)), &["line 1", "11 numbers"]),
-        ("word in pose", &|made| edit_file(&made.path("data").join(odometry), |text| text.replacen("1.000", "one", 1)), &["line 1", "finite number"]),
-        ("drive name", &|made| edit(&made.config, DRIVE, "2020_01_01_drive_0009_sync"), &["no such drive", "data.root"]),
+        (
+            "short pose",
+            &|made| edit_file(&made.path("data").join(odometry), |text| text.replacen("1.000000000000e0 ", "", 1)),
+            &["line 1", "11 numbers"],
+        ),
+        (
+            "word in pose",
+            &|made| edit_file(&made.path("data").join(odometry), |text| text.replacen("1.000", "one", 1)),
+            &["line 1", "finite number"],
+        ),
+        (
+            "drive name",
+            &|made| edit(&made.config, DRIVE, "2020_01_01_drive_0009_sync"),
+            &["no such drive", "data.root"],
+        ),
     ];
     for (name, break_it, words) in cases {
         let made = Made::new();
@@ -229,7 +281,10 @@ fn a_configuration_error_names_its_key() {
 fn an_empty_split_says_what_is_missing() {
     let made = Made::new();
     made.train(&["data.test=[]"]).assert().code(1).stderr(contains("`test`"));
-    made.train(&["systems.0.path=nowhere/{drive}.txt"]).assert().code(1).stderr(contains("nowhere").and(contains("`vo`")));
+    made.train(&["systems.0.path=nowhere/{drive}.txt"])
+        .assert()
+        .code(1)
+        .stderr(contains("nowhere").and(contains("`vo`")));
     made.train(&["depth.source=lidar"]).assert().code(1).stderr(contains("0 of those with depth"));
 }
 
@@ -251,7 +306,8 @@ fn a_damaged_run_folder_is_explained() {
     let whole = read(&manifest);
     std::fs::write(&manifest, whole.replace("\"error_frame\": \"vehicle\"", "\"error_frame\": \"camera\"")).unwrap();
     eval().assert().code(1).stderr(contains("data.error_frame").and(contains("camera")));
-    std::fs::write(&manifest, whole.replace("log(measured * truth^-1), left", "log(truth^-1 * measured), right")).unwrap();
+    std::fs::write(&manifest, whole.replace("log(measured * truth^-1), left", "log(truth^-1 * measured), right"))
+        .unwrap();
     eval().assert().code(1).stderr(contains("other conventions"));
     std::fs::write(&manifest, whole.replace("\"width\": 32", "\"width\": 64")).unwrap();
     eval().assert().code(1).stderr(contains("model.safetensors").and(contains("64x16")));

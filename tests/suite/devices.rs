@@ -24,7 +24,8 @@ fn floats<const D: usize>(shape: [usize; D], value: impl Fn(usize) -> f32, devic
 }
 
 fn pose_tensor(poses: &[Pose], device: &Device) -> Tensor<3> {
-    let rows: Vec<f32> = poses.iter().flat_map(|pose| pose.matrix().transpose().as_slice().to_vec()).map(|x| x as f32).collect();
+    let rows: Vec<f32> =
+        poses.iter().flat_map(|pose| pose.matrix().transpose().as_slice().to_vec()).map(|x| x as f32).collect();
     Tensor::from_data(TensorData::new(rows, [poses.len(), 4, 4]), device)
 }
 
@@ -143,7 +144,8 @@ fn pixels_behind_the_camera_or_without_depth_are_invalid_and_finite() {
     let device = open_device("flex").unwrap();
     let pairs = pairs(&device);
     let backwards = Pose { translation: Vector3::new(0.0, 0.0, -20.0), ..Pose::identity() };
-    for (depth, pose) in [(pairs.target_depth.clone(), backwards), (pairs.target_depth.zeros_like(), Pose::identity())] {
+    for (depth, pose) in [(pairs.target_depth.clone(), backwards), (pairs.target_depth.zeros_like(), Pose::identity())]
+    {
         let warped =
             Warp.forward(pairs.source_image.clone(), depth, pairs.intrinsics.clone(), pose_tensor(&[pose; 2], &device));
         assert_eq!(warped.valid_mask.sum().into_scalar::<f32>(), 0.0);
@@ -174,7 +176,13 @@ fn gradients_of_the_warp_agree_with_finite_differences() {
 
     // Central differences along one direction of each input. A few pixels cross a kink of the bilinear
     // surface within the step, which a missing or wrong term would exceed by far.
-    fn check<const D: usize>(name: &str, at: Tensor<D>, gradient: Tensor<D>, step: f32, f: impl Fn(Tensor<D>) -> Tensor<1>) {
+    fn check<const D: usize>(
+        name: &str,
+        at: Tensor<D>,
+        gradient: Tensor<D>,
+        step: f32,
+        f: impl Fn(Tensor<D>) -> Tensor<1>,
+    ) {
         let direction = floats(at.dims(), |k| (1.3 * k as f32 + 0.4 * (k as f32).sqrt()).sin(), &at.device());
         let ahead = f(at.clone() + direction.clone() * step).into_scalar::<f32>();
         let behind = f(at - direction.clone() * step).into_scalar::<f32>();

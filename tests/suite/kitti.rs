@@ -22,7 +22,8 @@ fn rms(split: &Split, system: usize) -> Vector6<f64> {
 #[test]
 fn the_seven_drives_hold_the_papers_pairs() {
     let Some(dataset) = dataset(&[]) else { return };
-    let pose_pairs = |name| dataset.coverage.iter().filter(|part| part.split == name).map(|part| part.pose_pairs).sum::<usize>();
+    let pose_pairs =
+        |name| dataset.coverage.iter().filter(|part| part.split == name).map(|part| part.pose_pairs).sum::<usize>();
     assert_eq!(pose_pairs(SplitName::Train), 12_016);
     assert_eq!(pose_pairs(SplitName::Test), 1_223);
     assert!(dataset.drives.iter().all(|drive| drive.problems.is_empty()));

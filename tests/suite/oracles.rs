@@ -69,10 +69,13 @@ fn the_warp_agrees_with_an_independent_one() {
     let device = Device::flex();
     let intrinsics: Tensor<3> = tensor(&file, "intrinsics", &device);
     let [batch, ..] = intrinsics.dims();
-    let entry = |row: usize, column: usize| intrinsics.clone().slice([0..batch, row..row + 1, column..column + 1]).reshape([batch, 1]);
+    let entry = |row: usize, column: usize| {
+        intrinsics.clone().slice([0..batch, row..row + 1, column..column + 1]).reshape([batch, 1])
+    };
     let intrinsics = Tensor::cat(vec![entry(0, 0), entry(1, 1), entry(0, 2), entry(1, 2)], 1);
 
-    let coordinates = Warp.project(tensor(&file, "depth", &device), intrinsics, tensor(&file, "source_from_target", &device));
+    let coordinates =
+        Warp.project(tensor(&file, "depth", &device), intrinsics, tensor(&file, "source_from_target", &device));
     let expected_valid: Tensor<4> = tensor(&file, "valid", &device);
     let expected: Tensor<4> = tensor(&file, "coordinates", &device);
     let [_, _, height, width] = expected_valid.dims();

@@ -104,7 +104,14 @@ batches_per_epoch = 2
 /// The true motion of a frame plus an error that depends on the frame, camera axes.
 fn noisy_step(frame: usize) -> Pose {
     let phase = frame as f64;
-    let error = Tangent::new(0.01 * phase.sin(), 0.005 * phase.cos(), 0.05 * (1.7 * phase).sin(), 1e-3, -1e-3 * phase.sin(), 5e-4);
+    let error = Tangent::new(
+        0.01 * phase.sin(),
+        0.005 * phase.cos(),
+        0.05 * (1.7 * phase).sin(),
+        1e-3,
+        -1e-3 * phase.sin(),
+        5e-4,
+    );
     Pose::exp(&error) * Pose { translation: Vector3::new(0.0, 0.0, 1.0), ..Pose::identity() }
 }
 
@@ -123,7 +130,9 @@ fn write_calibration(date: &Path) {
 fn write_image(path: &Path, frame: usize) {
     let (width, height) = SIZE;
     let image = image::RgbImage::from_fn(width as u32, height as u32, |u, v| {
-        let wave = |scale: f64| (127.0 + 120.0 * ((u as f64 * scale + frame as f64 * 0.3).sin() * (v as f64 * scale).cos())) as u8;
+        let wave = |scale: f64| {
+            (127.0 + 120.0 * ((u as f64 * scale + frame as f64 * 0.3).sin() * (v as f64 * scale).cos())) as u8
+        };
         image::Rgb([wave(0.2), wave(0.35), wave(0.5)])
     });
     image.save(path).unwrap();
@@ -139,7 +148,10 @@ struct FormulaWeights {
 }
 
 impl burn::module::ModuleMapper for FormulaWeights {
-    fn map_float<const D: usize>(&mut self, param: burn::module::Param<burn::tensor::Tensor<D>>) -> burn::module::Param<burn::tensor::Tensor<D>> {
+    fn map_float<const D: usize>(
+        &mut self,
+        param: burn::module::Param<burn::tensor::Tensor<D>>,
+    ) -> burn::module::Param<burn::tensor::Tensor<D>> {
         use burn::tensor::{Tensor, TensorData};
         let p = self.layer as f64;
         let is_bias = D == 1;
