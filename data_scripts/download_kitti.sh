@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Fetches the seven KITTI raw drives of the paper and their calibration, and verifies their counts.
 #
-#   data_scripts/download_kitti.sh [FOLDER]      default: data/kitti; about 43 GB, twice that while unpacking
+#   data_scripts/download_kitti.sh [FOLDER]      default: data/kitti; tens of gigabytes, one drive at a time twice
 #
 # Resumable: a drive that is complete is left alone, a broken download continues. Any failure ends with
 # a message and exit code 1. KITTI is CC BY-NC-SA 3.0; read http://www.cvlibs.net/datasets/kitti/ first.
@@ -34,6 +34,11 @@ mkdir -p "$root" || fail "cannot create $root"
 # Downloads to a partial file, which a later run continues, and renames it when it is whole.
 fetch() { # URL FILE
     [ -f "$2" ] && return
+    # Cut off between the last byte and the renaming.
+    if [ -f "$2.partial" ] && unzip -tqq "$2.partial" >/dev/null 2>&1; then
+        mv "$2.partial" "$2"
+        return
+    fi
     curl --fail --location --retry 5 --retry-delay 5 --continue-at - --progress-bar --output "$2.partial" "$1" \
         || fail "could not download $1; run this again to continue"
     unzip -tqq "$2.partial" >/dev/null || { rm -f "$2.partial"; fail "$1 arrived damaged and was removed; run this again"; }
@@ -67,7 +72,7 @@ for entry in "${drives[@]}"; do
     fetch "$base/$name/${name}_sync.zip" "$archive"
     unzip -oq "$archive" -d "$root" || fail "could not unpack $archive (disk full?); run this again"
     drive="$root/$date/${name}_sync"
-    complete "$number" "$frames" || fail "drive $number: expected $frames packets and images, found $(count "$drive/oxts/data" txt) packets, $(count "$drive/image_02/data" png) left and $(count "$drive/image_03/data" png) right images in $drive"
+    complete "$number" "$frames" || fail "drive $number: expected $frames packets and images, found $(count "$drive/oxts/data" txt) packets, $(count "$drive/image_02/data" png) left and $(count "$drive/image_03/data" png) right images in $drive; delete $archive and run this again"
     scans=$(count "$drive/velodyne_points/data" bin)
     # Some KITTI drives lack a few scans; depth from LiDAR leaves those pairs out.
     [ "$scans" = "$frames" ] || echo "drive $number: $scans of $frames LiDAR scans"

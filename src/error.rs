@@ -115,18 +115,3 @@ impl Error {
         Self::Run { folder: folder.as_ref().to_owned(), problem: problem.into() }
     }
 }
-
-/// Reads a whole text file.
-pub(crate) fn read_text(path: &Path) -> Result<String> {
-    std::fs::read_to_string(path).map_err(Error::io("read", path))
-}
-
-/// Parses whitespace-separated finite numbers.
-pub(crate) fn parse_numbers(text: &str, path: &Path, place: &Place) -> Result<Vec<f64>> {
-    text.split_whitespace()
-        .map(|word| match word.parse::<f64>() {
-            Ok(value) if value.is_finite() => Ok(value),
-            _ => Err(Error::malformed(path, place.clone(), format!("`{word}`"), "a finite number")),
-        })
-        .collect()
-}

@@ -24,6 +24,7 @@ pub mod depth;
 pub mod device;
 pub mod error;
 pub mod evaluation;
+mod files;
 pub mod geometry;
 pub mod loss;
 pub mod model;

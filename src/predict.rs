@@ -9,6 +9,7 @@ use nalgebra::Vector6;
 use crate::data::{PairBatch, PairSample, RgbImage};
 use crate::depth::DepthMap;
 use crate::error::{Error, Result};
+use crate::evaluation::read_values;
 use crate::geometry::{Covariance6, ErrorFrame, Pinhole, Pose, Tangent};
 use crate::model::{Architecture, CovarianceModel};
 use crate::training::RunFolder;
@@ -120,9 +121,7 @@ impl Model {
     pub fn predict(&self, measurement: &Measurement) -> Result<Covariance6> {
         let sample = self.prepare(measurement)?;
         let log_variance = self.network.forward(&PairBatch::new(&[sample], &self.device));
-        let data =
-            log_variance.try_into_data().map_err(|error| Error::Training(format!("the device failed: {error:?}")))?;
-        Ok(Covariance6::from_log_variances(&Vector6::from_iterator(data.iter::<f64>())))
+        Ok(Covariance6::from_log_variances(&Vector6::from_vec(read_values(log_variance)?)))
     }
 
     fn prepare(&self, measurement: &Measurement) -> Result<PairSample> {

@@ -81,8 +81,10 @@ pub fn evaluate(
     let model = run.load_model(&manifest, &device)?;
 
     let mut progress = Progress::new(terminal.quiet, "evaluating", 0, pairs.pairs.len());
-    let predictions =
-        predict_split(&model, &reader, pairs, &config.training, &device, &mut |done| progress.set(done, "pairs"))?;
+    let predictions = predict_split(&model, &reader, pairs, &config.training, &device, &mut |done| {
+        progress.set(done, "pairs");
+        Ok(())
+    })?;
     drop(progress);
     let bad_frames = reader.bad_frames();
     let evaluation =

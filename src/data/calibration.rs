@@ -8,7 +8,8 @@ use std::path::{Path, PathBuf};
 use nalgebra::{Matrix3, Vector3};
 
 use crate::config::MeasurementFrame;
-use crate::error::{Error, Place, Result, parse_numbers, read_text};
+use crate::error::{Error, Place, Result};
+use crate::files::{parse_numbers, read_text};
 use crate::geometry::{Pinhole, Pose};
 
 /// Largest `|RᵀR − I|` of a rotation printed with KITTI's seven digits.

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 
 use super::calibration::Calibration;
 use super::oxts::{OxtsPacket, world_from_vehicle};
-use crate::error::{Error, Place, Result, read_text};
+use crate::error::{Error, Place, Result};
+use crate::files::read_text;
 use crate::geometry::Pose;
 
 /// Files by frame index.

@@ -32,7 +32,7 @@ pub struct LoadedBatch {
     pub numbers: Option<PairNumbers>,
 }
 
-/// An iterator over batches that are read in the background, in the order they were asked for.
+/// Batches that are read in the background, in the order they were asked for.
 pub struct BatchLoader {
     batches: Option<Receiver<Result<LoadedBatch>>>,
     thread: Option<JoinHandle<()>>,
@@ -72,13 +72,14 @@ impl BatchLoader {
             .map_err(|error| failed(&error))?;
         Ok(Self { batches: Some(batches), thread: Some(thread) })
     }
-}
 
-impl Iterator for BatchLoader {
-    type Item = Result<LoadedBatch>;
-
-    fn next(&mut self) -> Option<Self::Item> {
-        self.batches.as_ref()?.recv().ok()
+    /// The next batch of those asked for.
+    ///
+    /// # Errors
+    /// Too many frames are unreadable, or the loader ended early.
+    pub fn next_batch(&mut self) -> Result<LoadedBatch> {
+        let ended = || Error::Training("the data loader ended early; its message stands above".to_owned());
+        self.batches.as_ref().and_then(|batches| batches.recv().ok()).ok_or_else(ended)?
     }
 }
 

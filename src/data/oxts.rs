@@ -4,7 +4,8 @@ use std::path::Path;
 
 use nalgebra::{Rotation3, Vector3};
 
-use crate::error::{Error, Place, Result, parse_numbers, read_text};
+use crate::error::{Error, Place, Result};
+use crate::files::{parse_numbers, read_text};
 use crate::geometry::Pose;
 
 /// Radius of the Mercator sphere, m (KITTI development kit).

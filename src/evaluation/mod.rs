@@ -8,5 +8,5 @@ mod prediction;
 mod results;
 
 pub use metrics::{Metrics, evaluate};
-pub use prediction::{Prediction, predict_split, share_at_floor};
+pub use prediction::{Prediction, mean_loss, predict_split, read_values, share_at_floor};
 pub use results::{Evaluation, MethodName, SystemEvaluation, evaluate_run, write_results};

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use burn::tensor::Device;
+use burn::tensor::{Device, Tensor};
 
 use crate::config::TrainingConfig;
 use crate::data::{BatchLoader, Choice, PairId, PairReader, Split};
@@ -37,17 +37,18 @@ impl Prediction {
     }
 }
 
-/// Predicts every readable pair of a split, in order; `progress` is told how many are done.
+/// Predicts every readable pair of a split, in order; `progress` is told how many are done and may
+/// end it by an error.
 ///
 /// # Errors
-/// Too many frames are unreadable, or the device failed.
+/// Too many frames are unreadable, the device failed, a prediction is not finite, or `progress` says so.
 pub fn predict_split(
     model: &CovarianceModel,
     reader: &Arc<PairReader>,
     split: &Split,
     loading: &TrainingConfig,
     device: &Device,
-    progress: &mut dyn FnMut(usize),
+    progress: &mut dyn FnMut(usize) -> Result<()>,
 ) -> Result<Vec<Prediction>> {
     // Both systems look at the same images: side by side each is decoded once.
     let mut order: Vec<usize> = (0..split.pairs.len()).collect();
@@ -56,7 +57,7 @@ pub fn predict_split(
     let requests: Vec<Vec<Choice>> = choices.chunks(loading.micro_batch).map(<[Choice]>::to_vec).collect();
     let pairs = Arc::new(split.pairs.clone());
     let batches = requests.len();
-    let loader = BatchLoader::spawn(
+    let mut loader = BatchLoader::spawn(
         reader.clone(),
         pairs.clone(),
         requests.into_iter(),
@@ -65,15 +66,10 @@ pub fn predict_split(
     )?;
 
     let mut predictions = Vec::with_capacity(pairs.len());
-    let mut loaded = 0;
-    for batch in loader {
-        let batch = batch?;
-        loaded += 1;
+    for _ in 0..batches {
+        let batch = loader.next_batch()?;
         let Some(numbers) = batch.numbers else { continue };
-        let log_variances = model.forward(&numbers.upload(device));
-        let data =
-            log_variances.try_into_data().map_err(|error| Error::Training(format!("the device failed: {error:?}")))?;
-        let values: Vec<f64> = data.iter::<f64>().collect();
+        let values = read_values(model.forward(&numbers.upload(device)))?;
         for (&pair, log_variance) in batch.pairs.iter().zip(values.chunks_exact(6)) {
             let pair = &pairs[pair];
             let log_variance: [f64; 6] = log_variance.try_into().expect("six outputs");
@@ -85,13 +81,26 @@ pub fn predict_split(
             }
             predictions.push(Prediction { pair: pair.id, system: pair.system, error: pair.error.into(), log_variance });
         }
-        progress(predictions.len());
-    }
-    if loaded < batches {
-        return Err(Error::Training("the data loader ended early; its message stands above".to_owned()));
+        progress(predictions.len())?;
     }
     predictions.sort_by_key(|prediction| (prediction.system, prediction.pair));
     Ok(predictions)
+}
+
+/// Mean loss of one system's pairs; `None` without any.
+pub fn mean_loss(predictions: &[Prediction], system: usize) -> Option<f64> {
+    let losses: Vec<f64> =
+        predictions.iter().filter(|prediction| prediction.system == system).map(Prediction::loss).collect();
+    (!losses.is_empty()).then(|| losses.iter().sum::<f64>() / losses.len() as f64)
+}
+
+/// The numbers of a tensor, row-major, on the CPU.
+///
+/// # Errors
+/// The device failed.
+pub fn read_values<const D: usize>(tensor: Tensor<D>) -> Result<Vec<f64>> {
+    let data = tensor.try_into_data().map_err(|error| Error::Training(format!("the device failed: {error:?}")))?;
+    Ok(data.iter::<f64>().collect())
 }
 
 /// Share of log-variances that sit on their floor.

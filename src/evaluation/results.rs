@@ -9,8 +9,9 @@ use super::metrics::{Metrics, evaluate};
 use super::prediction::{Prediction, share_at_floor};
 use crate::data::{BadFrame, Dataset, SplitName};
 use crate::error::{Error, Place, Result};
+use crate::files::write_atomically;
 use crate::geometry::{Conventions, ErrorFrame};
-use crate::training::{Manifest, write_atomically};
+use crate::training::Manifest;
 
 /// Version of `evaluation.json`.
 const SCHEMA: u32 = 1;

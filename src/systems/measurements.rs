@@ -8,7 +8,8 @@ use super::sequences::odometry_sequence;
 use super::trajectory::{Trajectory, parse_kitti_trajectory, parse_tum_trajectory};
 use crate::config::{MeasurementFrame, SystemSource, TrajectoryConfig, TrajectoryFormat, TruthConfig};
 use crate::data::Drive;
-use crate::error::{Result, read_text};
+use crate::error::Result;
+use crate::files::read_text;
 use crate::geometry::Pose;
 
 /// Largest distance in time between a TUM row and the frame it belongs to, s: a fifth of KITTI's period.

@@ -5,7 +5,8 @@ use std::path::Path;
 use nalgebra::{Matrix6, Vector3};
 
 use super::trajectory::{parse_frame_index, pose_from_quaternion};
-use crate::error::{Error, Place, Result, parse_numbers};
+use crate::error::{Error, Place, Result};
+use crate::files::parse_numbers;
 use crate::geometry::{Covariance6, Pose};
 
 /// Columns of pose and frames.

@@ -5,7 +5,8 @@ use std::path::Path;
 
 use nalgebra::{Matrix3x4, Quaternion, Rotation3, UnitQuaternion, Vector3};
 
-use crate::error::{Error, Place, Result, parse_numbers};
+use crate::error::{Error, Place, Result};
+use crate::files::parse_numbers;
 use crate::geometry::Pose;
 
 /// Largest `|RᵀR − I|` of a rotation in a trajectory file (files with six digits exist).

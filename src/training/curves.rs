@@ -7,6 +7,9 @@ use super::history::History;
 /// Size of the picture, px.
 const SIZE: (u32, u32) = (720, 420);
 
+/// Height kept free above the curves for the legend, as a share of their range.
+const ROOM_FOR_LEGEND: f64 = 0.35;
+
 /// Draws the loss curves; `None` before the first epoch is done.
 pub fn loss_curves(history: &History, systems: &[String]) -> Option<String> {
     let curves: Vec<(String, bool, Vec<f64>)> = systems
@@ -22,10 +25,10 @@ pub fn loss_curves(history: &History, systems: &[String]) -> Option<String> {
         .collect();
     let finite = || curves.iter().flat_map(|(_, _, losses)| losses.iter().copied()).filter(|loss| loss.is_finite());
     let (low, high) = (finite().reduce(f64::min)?, finite().reduce(f64::max)?);
-    let margin = (0.05 * (high - low)).max(0.1);
+    let range = (high - low).max(1.0);
 
     let mut svg = String::new();
-    draw(&mut svg, &curves, history.rows.len(), low - margin..high + margin)
+    draw(&mut svg, &curves, history.rows.len(), low - 0.05 * range..high + (0.05 + ROOM_FOR_LEGEND) * range)
         .unwrap_or_else(|error| tracing::warn!("losses.svg could not be drawn: {error}"));
     Some(svg)
 }
@@ -44,7 +47,13 @@ fn draw(
         .x_label_area_size(36)
         .y_label_area_size(56)
         .build_cartesian_2d(1.0..(epochs.max(2) as f64), losses)?;
-    chart.configure_mesh().x_desc("epoch").y_desc("nats").light_line_style(WHITE.mix(0.0)).draw()?;
+    chart
+        .configure_mesh()
+        .x_desc("epoch")
+        .y_desc("nats")
+        .light_line_style(WHITE.mix(0.0))
+        .x_label_formatter(&|epoch| format!("{epoch:.0}"))
+        .draw()?;
     for (index, (name, dashed, losses)) in curves.iter().enumerate() {
         let style = Palette99::pick(index / 2).stroke_width(2);
         let points = losses.iter().enumerate().map(|(epoch, &loss)| (epoch as f64 + 1.0, loss));
@@ -59,7 +68,12 @@ fn draw(
             PathElement::new(vec![(x, y), (end, y)], style)
         });
     }
-    chart.configure_series_labels().background_style(WHITE.mix(0.8)).border_style(BLACK.mix(0.3)).draw()?;
+    chart
+        .configure_series_labels()
+        .position(SeriesLabelPosition::UpperRight)
+        .background_style(WHITE.mix(0.8))
+        .border_style(BLACK.mix(0.3))
+        .draw()?;
     root.present()?;
     Ok(())
 }

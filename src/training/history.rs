@@ -28,8 +28,8 @@ pub struct History {
     pub rows: Vec<EpochRow>,
     /// Epoch of the lowest watched loss.
     pub best_epoch: Option<usize>,
-    /// Whether training ended of itself; such a run has nothing left to resume.
-    pub finished: bool,
+    /// Mini-batches before the epoch under way.
+    pub epoch_start: usize,
     /// Sum of losses and number of pairs of each system in the epoch under way.
     pub sums: Vec<(f64, usize)>,
     /// Seconds spent on the epoch under way.
@@ -52,6 +52,36 @@ impl History {
         let (sum, pairs) = &mut self.sums[system];
         *sum += loss;
         *pairs += 1;
+    }
+
+    /// A history with nothing done yet.
+    pub fn new(systems: usize) -> Self {
+        Self { sums: vec![(0.0, 0); systems], ..Self::default() }
+    }
+
+    /// Pairs learned in the epoch under way.
+    pub fn pairs(&self) -> usize {
+        self.sums.iter().map(|(_, pairs)| pairs).sum()
+    }
+
+    /// Pairs learned per second in the epoch under way.
+    pub fn pairs_per_second(&self) -> f64 {
+        self.pairs() as f64 / self.seconds
+    }
+
+    /// Closes the epoch under way with what the evaluation after it found.
+    pub fn finish_epoch(&mut self, evaluation_loss: Vec<Option<f64>>, at_floor: f64) {
+        self.rows.push(EpochRow {
+            epoch: self.rows.len() + 1,
+            batches: self.batches,
+            training_loss: self.sums.iter().map(|&(sum, pairs)| sum / pairs.max(1) as f64).collect(),
+            evaluation_loss,
+            at_floor,
+            pairs_per_second: self.pairs_per_second(),
+        });
+        self.sums.fill((0.0, 0));
+        self.seconds = 0.0;
+        self.epoch_start = self.batches;
     }
 
     /// The table `metrics.csv`: one row an epoch, losses in nats.

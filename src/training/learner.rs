@@ -17,13 +17,14 @@ use rand_chacha::ChaCha8Rng;
 
 use super::divergence::DivergenceRule;
 use super::history::{EpochRow, History};
-use super::run_folder::{Manifest, RunFolder};
-use super::setup::{architecture, constant_loss, describe, watched_split, watched_system};
+use super::manifest::Manifest;
+use super::run_folder::RunFolder;
+use super::setup::{constant_loss, describe, watched_split, watched_system};
 use crate::config::Config;
 use crate::data::{BatchLoader, Choice, Dataset, LoadedBatch, PairReader, SplitName};
 use crate::error::{Error, Result};
-use crate::evaluation::predict_split;
-use crate::model::{CovarianceModel, MicroBatch};
+use crate::evaluation::{Prediction, mean_loss, predict_split, read_values, share_at_floor};
+use crate::model::{Architecture, CovarianceModel, MicroBatch};
 use crate::systems::Mixer;
 
 /// Adam's ε: PyTorch's, as the paper's program had it (Burn's default is 1e-5).
@@ -91,6 +92,7 @@ pub struct Learner {
     dataset: Arc<Dataset>,
     reader: Arc<PairReader>,
     device: Device,
+    architecture: Architecture,
     run: RunFolder,
     model: CovarianceModel,
     optimiser: ModuleOptimizer,
@@ -152,12 +154,12 @@ impl Learner {
         device.seed(config.seed);
         let model = manifest.architecture.init(manifest.initial_log_variance, &device.clone().autodiff());
         let optimiser = AdamConfig::new().with_epsilon(ADAM_EPSILON).init();
-        let systems = config.systems.len();
         Ok(Self {
             reader: Arc::new(PairReader::new(&config, &dataset)),
             constant_loss: constant_loss(&dataset, watched, manifest),
             device: device.clone(),
-            history: History { sums: vec![(0.0, 0); systems], ..History::default() },
+            history: History::new(config.systems.len()),
+            architecture: manifest.architecture.clone(),
             interrupt: Arc::default(),
             config,
             dataset,
@@ -203,64 +205,67 @@ impl Learner {
         });
         let mut loader = self.spawn_loader()?;
         let mut saved = Instant::now();
-        let mut reason = self.stop_reason();
-        while reason.is_none() {
+        loop {
+            if let Some(reason) = self.stop_reason() {
+                let best_epoch = self.history.best_epoch.expect("at least one epoch");
+                return Ok(Outcome { reason, epochs: self.history.rows.len(), best_epoch });
+            }
             let epoch = self.history.rows.len() + 1;
-            let epoch_end = epoch * batches_per_epoch;
-            while self.history.batches < epoch_end {
-                let loss = self.learn_batch(&mut loader)?;
-                let pairs: usize = self.history.sums.iter().map(|(_, pairs)| pairs).sum();
+            while self.history.batches < self.history.epoch_start + batches_per_epoch {
+                let loss = match self.learn_batch(&mut loader) {
+                    Err(error @ Error::Data(_)) => {
+                        self.save_state()?;
+                        return Err(error);
+                    }
+                    outcome => outcome?,
+                };
                 observer(Event::Batch {
                     epoch,
-                    batch: self.history.batches + batches_per_epoch - epoch_end,
-                    pairs_per_second: pairs as f64 / self.history.seconds,
+                    batch: self.history.batches - self.history.epoch_start,
+                    pairs_per_second: self.history.pairs_per_second(),
                     loss,
                 });
-                let interrupted = self.interrupt.load(Ordering::Relaxed);
-                if interrupted || saved.elapsed() > SAVE_EVERY {
+                if saved.elapsed() > SAVE_EVERY {
                     self.save_state()?;
                     saved = Instant::now();
                 }
-                if interrupted {
-                    return Err(Error::Interrupted);
-                }
+                self.stop_if_interrupted()?;
             }
-            let best = self.finish_epoch(epoch)?;
+            let best = self.finish_epoch()?;
             saved = Instant::now();
             observer(Event::Epoch { row: self.history.rows.last().expect("just finished"), best });
-            reason = self.stop_reason();
+            self.stop_if_interrupted()?;
         }
-        self.history.finished = true;
-        self.save_state()?;
-        Ok(Outcome {
-            reason: reason.expect("the loop ends with one"),
-            epochs: self.history.rows.len(),
-            best_epoch: self.history.best_epoch.expect("at least one epoch"),
-        })
+    }
+
+    fn stop_if_interrupted(&self) -> Result<()> {
+        if self.interrupt.load(Ordering::Relaxed) {
+            self.save_state()?;
+            return Err(Error::Interrupted);
+        }
+        Ok(())
     }
 
     /// One step of Adam on the mean loss of a mini-batch, taken in micro-batches.
     fn learn_batch(&mut self, loader: &mut BatchLoader) -> Result<f64> {
         let begin = Instant::now();
-        let batch = self.history.batches;
+        let (seed, batch) = (self.config.seed, self.history.batches);
         let size = self.config.training.batch;
         let mut gradients = GradientsAccumulator::new();
-        let mut losses: Vec<(usize, Tensor<1>)> = Vec::new();
-        let mut sources: Vec<usize> = Vec::new();
+        let mut losses: Vec<Tensor<1>> = Vec::new();
+        let mut learned: Vec<usize> = Vec::new();
         for part in 0..size.div_ceil(self.config.training.micro_batch) {
-            let LoadedBatch { pairs, numbers } = loader
-                .next()
-                .ok_or_else(|| Error::Training("the data loader ended early; its message stands above".to_owned()))??;
+            let LoadedBatch { pairs, numbers } = loader.next_batch()?;
             let numbers = numbers.expect("training pairs are substituted, never left out");
             // Dropout is a function of seed, batch and part, so that a resumed run repeats it.
-            self.device.seed(step_seed(self.config.seed, batch, part));
-            let pairs_on_device = numbers.upload(&self.device);
-            let output = TrainStep::step(&self.model, MicroBatch { pairs: pairs_on_device, weight: 1.0 / size as f32 });
+            self.device.seed(step_seed(seed, batch, part));
+            let part = MicroBatch { pairs: numbers.upload(&self.device), weight: 1.0 / size as f32 };
+            let output = TrainStep::step(&self.model, part);
             gradients.accumulate(&self.model, output.grads);
-            losses.push((pairs.len(), output.item.loss));
-            sources.extend(pairs);
+            losses.push(output.item.loss);
+            learned.extend(pairs);
         }
-        let losses = self.read_losses(losses)?;
+        let losses = read_values(Tensor::cat(losses, 0))?;
         let mean = losses.iter().sum::<f64>() / size as f64;
         if !mean.is_finite() {
             return Err(Error::Training(format!(
@@ -269,7 +274,7 @@ impl Learner {
             )));
         }
         self.model = self.optimiser.step(self.config.training.learning_rate, self.model.clone(), gradients.grads());
-        for (pair, loss) in sources.into_iter().zip(losses) {
+        for (pair, loss) in learned.into_iter().zip(losses) {
             self.history.add(self.dataset.train.pairs[pair].system, loss);
         }
         self.history.batches += 1;
@@ -277,58 +282,37 @@ impl Learner {
         Ok(mean)
     }
 
-    fn read_losses(&self, losses: Vec<(usize, Tensor<1>)>) -> Result<Vec<f64>> {
-        let mut values = Vec::new();
-        for (_, loss) in losses {
-            let data =
-                loss.try_into_data().map_err(|error| Error::Training(format!("the device failed: {error:?}")))?;
-            values.extend(data.iter::<f64>());
-        }
-        Ok(values)
-    }
-
     /// Evaluates, keeps the best model, saves the state; whether this epoch is the best.
-    fn finish_epoch(&mut self, epoch: usize) -> Result<bool> {
-        let evaluation = self.evaluate()?;
-        let pairs: usize = self.history.sums.iter().map(|(_, pairs)| pairs).sum();
+    fn finish_epoch(&mut self) -> Result<bool> {
+        let predictions = self.predict_watched()?;
+        let floor = self.architecture.log_variance_floor;
+        let at_floor = floor.map_or(0.0, |floor| share_at_floor(&predictions, &floor));
         let systems = self.config.systems.len();
-        let mean = |loss: f64, pairs: usize| (pairs > 0).then(|| loss / pairs as f64);
-        let mut sums = vec![(0.0, 0); systems];
-        for (system, loss) in &evaluation.losses {
-            sums[*system].0 += loss;
-            sums[*system].1 += 1;
-        }
-        self.history.rows.push(EpochRow {
-            epoch,
-            batches: self.history.batches,
-            training_loss: self.history.sums.iter().map(|&(sum, pairs)| sum / pairs.max(1) as f64).collect(),
-            evaluation_loss: sums.into_iter().map(|(sum, pairs)| mean(sum, pairs)).collect(),
-            at_floor: evaluation.at_floor,
-            pairs_per_second: pairs as f64 / self.history.seconds,
-        });
-        self.history.sums = vec![(0.0, 0); systems];
-        self.history.seconds = 0.0;
+        self.history.finish_epoch((0..systems).map(|system| mean_loss(&predictions, system)).collect(), at_floor);
 
         let watched = self.history.evaluation_losses(watched_system(&self.config));
-        let newest = *watched.last().expect("the watched system has pairs");
-        let best = watched[..watched.len() - 1].iter().all(|&loss| newest < loss);
+        let (newest, earlier) = watched.split_last().expect("the watched system has pairs");
+        let best = earlier.iter().all(|loss| newest < loss);
         if best {
             self.run.save_model(&self.model.valid())?;
-            self.history.best_epoch = Some(epoch);
+            self.history.best_epoch = Some(self.history.rows.len());
         }
         self.save_state()?;
         Ok(best)
     }
 
-    fn evaluate(&self) -> Result<WatchedLosses> {
+    /// Predictions of the watched split; an interrupt ends them, and a resumed run makes them anew.
+    fn predict_watched(&self) -> Result<Vec<Prediction>> {
         let split = self.dataset.split(watched_split(&self.config));
-        let predictions =
-            predict_split(&self.model.valid(), &self.reader, split, &self.config.training, &self.device, &mut |_| {})?;
-        let floor = architecture(&self.config, &self.dataset).log_variance_floor;
-        Ok(WatchedLosses {
-            losses: predictions.iter().map(|prediction| (prediction.system, prediction.loss())).collect(),
-            at_floor: floor.map_or(0.0, |floor| crate::evaluation::share_at_floor(&predictions, &floor)),
-        })
+        let mut unless_interrupted = |_| self.stop_if_interrupted();
+        predict_split(
+            &self.model.valid(),
+            &self.reader,
+            split,
+            &self.config.training,
+            &self.device,
+            &mut unless_interrupted,
+        )
     }
 
     fn stop_reason(&self) -> Option<StopReason> {
@@ -367,12 +351,6 @@ impl Learner {
             training.prefetch,
         )
     }
-}
-
-struct WatchedLosses {
-    /// System and loss of each pair.
-    losses: Vec<(usize, f64)>,
-    at_floor: f64,
 }
 
 /// Seed of dropout in one part of one mini-batch.

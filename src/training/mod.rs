@@ -7,11 +7,12 @@ mod curves;
 mod divergence;
 mod history;
 mod learner;
+mod manifest;
 mod run_folder;
 mod setup;
 
 pub use divergence::DivergenceRule;
 pub use history::{EpochRow, History};
 pub use learner::{Event, Learner, Outcome, StopReason};
-pub(crate) use run_folder::write_atomically;
-pub use run_folder::{Manifest, RunFolder, SystemSummary};
+pub use manifest::{Manifest, SystemSummary};
+pub use run_folder::RunFolder;

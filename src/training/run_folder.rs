@@ -12,27 +12,21 @@
 //!
 //! Everything is written under a temporary name and renamed: whatever bears its final name is whole.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use burn::module::Module;
 use burn::optim::{ModuleOptimizer, OptimizerRecord};
 use burn::store::{ModuleRecord, ModuleSnapshot, SafetensorsStore};
 use burn::tensor::Device;
-use serde::{Deserialize, Serialize};
-use tempfile::NamedTempFile;
 
 use super::curves::loss_curves;
 use super::history::History;
+use super::manifest::{LAYOUT, Manifest};
 use crate::config::Config;
-use crate::error::{Error, Place, Result, read_text};
+use crate::error::{Error, Place, Result};
+use crate::files::{make_readable, read_text, write_atomically};
 use crate::geometry::Conventions;
 use crate::model::{Architecture, CovarianceModel};
-
-/// Version of the run folder's layout.
-const LAYOUT: u32 = 1;
-/// The pinned version of Burn, whose records the state files are.
-const BURN_VERSION: &str = "0.22.1";
 
 const CONFIG: &str = "config.toml";
 const MANIFEST: &str = "manifest.json";
@@ -43,73 +37,6 @@ const STATE_PREFIX: &str = "state-";
 const STATE_MODEL: &str = "model.bpk";
 const STATE_OPTIMISER: &str = "optimiser.bpk";
 const STATE_HISTORY: &str = "history.json";
-
-/// What a stored model depends on.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Manifest {
-    /// Version of the folder's layout.
-    pub layout: u32,
-    /// Version of this program.
-    pub relcov_version: String,
-    /// Commit it was built from, if known.
-    pub git_commit: Option<String>,
-    /// Version of Burn.
-    pub burn_version: String,
-    /// Backend the run was started on.
-    pub device: String,
-    /// Seed of the run.
-    pub seed: u64,
-    /// Order, units, frames of every number.
-    pub conventions: Conventions,
-    /// Shape of the model.
-    pub architecture: Architecture,
-    /// What every first prediction was: ln(mean e²) of the mixed training set.
-    pub initial_log_variance: [f64; 6],
-    /// The systems it was trained on.
-    pub systems: Vec<SystemSummary>,
-    /// Hash of all pairs and errors.
-    pub data_fingerprint: String,
-}
-
-/// A system as the training set shows it.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct SystemSummary {
-    /// Its name.
-    pub name: String,
-    /// Its share of each mini-batch.
-    pub share: f64,
-    /// Its training pairs.
-    pub training_pairs: usize,
-    /// Mean e² over them, m² and rad²: the constant baseline.
-    pub mean_squared_error: [f64; 6],
-}
-
-impl Manifest {
-    /// A manifest by this program, now.
-    pub fn new(
-        device: String,
-        seed: u64,
-        conventions: Conventions,
-        architecture: Architecture,
-        initial_log_variance: [f64; 6],
-        systems: Vec<SystemSummary>,
-        data_fingerprint: String,
-    ) -> Self {
-        Self {
-            layout: LAYOUT,
-            relcov_version: env!("CARGO_PKG_VERSION").to_owned(),
-            git_commit: option_env!("RELCOV_GIT_COMMIT").map(str::to_owned),
-            burn_version: BURN_VERSION.to_owned(),
-            device,
-            seed,
-            conventions,
-            architecture,
-            initial_log_variance,
-            systems,
-            data_fingerprint,
-        }
-    }
-}
 
 /// A run folder on disk.
 #[derive(Clone, Debug)]
@@ -218,6 +145,7 @@ impl RunFolder {
             let _ = std::fs::remove_file(&temporary);
             Error::Io { action: "write", path: path.clone(), source: std::io::Error::other(error.to_string()) }
         })?;
+        make_readable(&temporary);
         std::fs::rename(&temporary, &path).map_err(Error::io("rename into place", &path))
     }
 
@@ -370,24 +298,6 @@ impl RunFolder {
         }
         Ok(())
     }
-}
-
-/// Writes a file under a temporary name beside it and renames it.
-///
-/// # Errors
-/// It cannot be written; a file of that name stays as it was.
-pub(crate) fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut file = NamedTempFile::new_in(folder).map_err(Error::io("write into", folder))?;
-    file.write_all(bytes).and_then(|()| file.as_file().sync_all()).map_err(Error::io("write", path))?;
-    // A temporary file is private; this one is to be read like any other.
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        let _ = file.as_file().set_permissions(std::fs::Permissions::from_mode(0o644));
-    }
-    file.persist(path).map_err(|error| Error::io("rename into place", path)(error.error))?;
-    Ok(())
 }
 
 fn json(conventions: &Conventions) -> String {

@@ -2,7 +2,7 @@
 
 use burn::tensor::Device;
 
-use super::run_folder::{Manifest, SystemSummary};
+use super::manifest::{Manifest, SystemSummary};
 use crate::config::{Config, MinLogVariance, WatchedSplit};
 use crate::data::{Dataset, SplitName};
 use crate::device::device_name;
@@ -13,7 +13,7 @@ use crate::model::Architecture;
 /// Least variance an initial log-variance stands for: that of a system without any error, ln m² or ln rad².
 const LEAST_MEAN_SQUARED_ERROR: f64 = 1e-16;
 /// The model's shape: configuration plus the floor, which depends on the training errors.
-pub(super) fn architecture(config: &Config, dataset: &Dataset) -> Architecture {
+fn architecture(config: &Config, dataset: &Dataset) -> Architecture {
     let mean = initial_log_variance(config, dataset);
     Architecture {
         height: config.model.height,

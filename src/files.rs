@@ -1,0 +1,49 @@
+//! Whole files: reading text and numbers with errors that name the place, and writing so that whatever
+//! bears its final name is complete.
+
+use std::io::Write;
+use std::path::Path;
+
+use tempfile::NamedTempFile;
+
+use crate::error::{Error, Place, Result};
+
+/// Reads a whole text file.
+pub(crate) fn read_text(path: &Path) -> Result<String> {
+    std::fs::read_to_string(path).map_err(Error::io("read", path))
+}
+
+/// Parses whitespace-separated finite numbers.
+pub(crate) fn parse_numbers(text: &str, path: &Path, place: &Place) -> Result<Vec<f64>> {
+    text.split_whitespace()
+        .map(|word| match word.parse::<f64>() {
+            Ok(value) if value.is_finite() => Ok(value),
+            _ => Err(Error::malformed(path, place.clone(), format!("`{word}`"), "a finite number")),
+        })
+        .collect()
+}
+
+/// Writes a file under a temporary name beside it and renames it.
+///
+/// # Errors
+/// It cannot be written; a file of that name stays as it was.
+pub(crate) fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut file = NamedTempFile::new_in(folder).map_err(Error::io("write into", folder))?;
+    file.write_all(bytes).and_then(|()| file.as_file().sync_all()).map_err(Error::io("write", path))?;
+    make_readable(file.path());
+    file.persist(path).map_err(|error| Error::io("rename into place", path)(error.error))?;
+    Ok(())
+}
+
+/// Temporary files are private to their owner; results are to be read like any other file.
+pub(crate) fn make_readable(path: &Path) {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        // Where this is refused the owner can still read it.
+        let _ = std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o644));
+    }
+    #[cfg(not(unix))]
+    let _ = path;
+}

@@ -1,0 +1,78 @@
+//! The manifest of a run: everything its stored model depends on.
+
+use serde::{Deserialize, Serialize};
+
+use crate::geometry::Conventions;
+use crate::model::Architecture;
+
+/// Version of the run folder's layout.
+pub(super) const LAYOUT: u32 = 1;
+/// The pinned version of Burn, whose records the state files are.
+const BURN_VERSION: &str = "0.22.1";
+
+/// What a stored model depends on.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Manifest {
+    /// Version of the folder's layout.
+    pub layout: u32,
+    /// Version of this program.
+    pub relcov_version: String,
+    /// Commit it was built from, if known.
+    pub git_commit: Option<String>,
+    /// Version of Burn.
+    pub burn_version: String,
+    /// Backend the run was started on.
+    pub device: String,
+    /// Seed of the run.
+    pub seed: u64,
+    /// Order, units, frames of every number.
+    pub conventions: Conventions,
+    /// Shape of the model.
+    pub architecture: Architecture,
+    /// What every first prediction was: ln(mean e²) of the mixed training set.
+    pub initial_log_variance: [f64; 6],
+    /// The systems it was trained on.
+    pub systems: Vec<SystemSummary>,
+    /// Hash of all pairs and errors.
+    pub data_fingerprint: String,
+}
+
+/// A system as the training set shows it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SystemSummary {
+    /// Its name.
+    pub name: String,
+    /// Its share of each mini-batch.
+    pub share: f64,
+    /// Its training pairs.
+    pub training_pairs: usize,
+    /// Mean e² over them, m² and rad²: the constant baseline.
+    pub mean_squared_error: [f64; 6],
+}
+
+impl Manifest {
+    /// A manifest by this program, now.
+    pub fn new(
+        device: String,
+        seed: u64,
+        conventions: Conventions,
+        architecture: Architecture,
+        initial_log_variance: [f64; 6],
+        systems: Vec<SystemSummary>,
+        data_fingerprint: String,
+    ) -> Self {
+        Self {
+            layout: LAYOUT,
+            relcov_version: env!("CARGO_PKG_VERSION").to_owned(),
+            git_commit: option_env!("RELCOV_GIT_COMMIT").map(str::to_owned),
+            burn_version: BURN_VERSION.to_owned(),
+            device,
+            seed,
+            conventions,
+            architecture,
+            initial_log_variance,
+            systems,
+            data_fingerprint,
+        }
+    }
+}
