@@ -11,7 +11,7 @@ use burn::tensor::{Device, Tensor};
 use burn::train::TrainStep;
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use relcov::config::Config;
-use relcov::data::{Dataset, PairBatch, PairReader, PairSample, PairScope, RgbImage, read_image};
+use relcov::data::{Dataset, PairBatch, PairReader, PairSample, PairScope, RgbImage, SplitName, read_image};
 use relcov::depth::ground_plane_depth;
 use relcov::geometry::{Pinhole, Pose, Tangent};
 use relcov::model::{Architecture, InputBasis, MicroBatch};
@@ -148,7 +148,7 @@ fn training_loop(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("training loop");
     group.sample_size(10).measurement_time(Duration::from_secs(60)).throughput(Throughput::Elements(pairs));
 
-    let reader = PairReader::new(&config, &dataset);
+    let reader = PairReader::new(&config, &dataset, SplitName::Train);
     let samples: Vec<PairSample> = dataset.train.pairs[..config.training.micro_batch]
         .iter()
         .map(|pair| reader.read(pair).expect("readable").expect("readable"))

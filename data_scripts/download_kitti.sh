@@ -47,6 +47,8 @@ fetch() { # URL FILE
 
 complete() { # NUMBER FRAMES
     local drive="$root/$date/${date}_drive_$1_sync"
+    # Some KITTI drives lack a few scans; depth from LiDAR leaves those pairs out.
+    [ "$(count "$drive/velodyne_points/data" bin)" -gt $(($2 * 9 / 10)) ] || return
     [ "$(count "$drive/oxts/data" txt)" = "$2" ] && [ "$(count "$drive/image_02/data" png)" = "$2" ] && [ "$(count "$drive/image_03/data" png)" = "$2" ]
 }
 
@@ -65,17 +67,22 @@ for entry in "${drives[@]}"; do
     name="${date}_drive_${number}"
     if complete "$number" "$frames"; then
         echo "drive $number: complete, $frames frames"
+        rm -f "$root/${name}_sync.zip"
         continue
     fi
     echo "drive $number: $frames frames"
     archive="$root/${name}_sync.zip"
     fetch "$base/$name/${name}_sync.zip" "$archive"
-    unzip -oq "$archive" -d "$root" || fail "could not unpack $archive (disk full?); run this again"
+    # Unpacked aside and moved as a whole: a drive that has its name is complete, scans included.
+    aside="$root/.unpacking-$number"
     drive="$root/$date/${name}_sync"
-    complete "$number" "$frames" || fail "drive $number: expected $frames packets and images, found $(count "$drive/oxts/data" txt) packets, $(count "$drive/image_02/data" png) left and $(count "$drive/image_03/data" png) right images in $drive; delete $archive and run this again"
-    scans=$(count "$drive/velodyne_points/data" bin)
-    # Some KITTI drives lack a few scans; depth from LiDAR leaves those pairs out.
-    [ "$scans" = "$frames" ] || echo "drive $number: $scans of $frames LiDAR scans"
+    rm -rf "$aside"
+    unzip -oq "$archive" -d "$aside" || { rm -rf "$aside"; fail "could not unpack $archive (disk full?); run this again"; }
+    rm -rf "$drive"
+    mkdir -p "$root/$date"
+    mv "$aside/$date/${name}_sync" "$drive" || fail "$archive does not hold $date/${name}_sync; delete it and run this again"
+    rm -rf "$aside"
+    complete "$number" "$frames" || fail "drive $number: expected $frames packets and images, found $(count "$drive/oxts/data" txt) packets, $(count "$drive/image_02/data" png) left and $(count "$drive/image_03/data" png) right images and $(count "$drive/velodyne_points/data" bin) scans in $drive; delete $archive and run this again"
     rm "$archive"
 done
 echo "all drives complete in $root; next: relcov inspect --config configs/kitti.toml --set data.root=$root"

@@ -6,10 +6,10 @@ use relcov::depth::ground_plane_depth;
 use relcov::geometry::{Pinhole, Pose, Tangent};
 use relcov::{Measurement, Model, device::open_device};
 
-fn main() -> Result<(), Box<dyn std::error::Error>> {
+fn main() -> anyhow::Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [run, source, target, forward_m] = arguments.as_slice() else {
-        return Err("usage: predict_pair RUN FRAME0 FRAME1 FORWARD_M".into());
+        anyhow::bail!("usage: predict_pair RUN FRAME0 FRAME1 FORWARD_M");
     };
     // Intrinsics of KITTI's 2011_09_30 colour camera, at the size of its images.
     let camera = Pinhole { fx: 707.0912, fy: 707.0912, cx: 601.8873, cy: 183.1104, width: 1226, height: 370 };

@@ -11,8 +11,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::error::{Error, Result};
-use crate::files::read_text;
+use crate::error::{Error, Place, Result};
+use crate::files::{read_text, sha256_hex};
 use crate::geometry::ErrorFrame;
 use crate::model::InputBasis;
 
@@ -75,7 +75,8 @@ pub struct DataConfig {
     /// Share of frames that may turn out unreadable before a run gives up. Default: 0.01.
     #[serde(default = "default_max_bad_fraction")]
     pub max_bad_fraction: f64,
-    /// Memory for decoded frames, MB; the cache never grows beyond it. Default: 256.
+    /// Memory for decoded frames of each split that is read, MB; the cache never grows beyond it.
+    /// Default: 256.
     #[serde(default = "default_cache_mb")]
     pub cache_mb: usize,
 }
@@ -382,14 +383,20 @@ impl Config {
         let data_root = std::env::var_os(DATA_ROOT_VARIABLE).map(PathBuf::from);
         let table = overrides::merge(&text, path, folder, data_root.as_deref(), overrides)?;
         let config = Self::deserialize(table).map_err(|error| {
+            let expected = "a relcov configuration (README.md, \"Configuration\")";
+            let place = Place::Whole;
             // The text knows its lines; the merged table only its keys.
-            let error = toml::from_str::<Self>(&text).err().unwrap_or(error);
-            Error::malformed(
-                path,
-                crate::error::Place::Whole,
-                error.to_string().trim_end().to_owned(),
-                "a relcov configuration (see README.md, \"Configuration\")",
-            )
+            match toml::from_str::<Self>(&text) {
+                Err(in_text) if overrides.is_empty() && data_root.is_none() => {
+                    Error::malformed(path, place, in_text.to_string().trim_end(), expected)
+                }
+                _ => Error::malformed(
+                    path,
+                    place,
+                    format!("with its overrides, {}", error.to_string().trim_end()),
+                    expected,
+                ),
+            }
         })?;
         config.validate()?;
         Ok(config)
@@ -403,6 +410,30 @@ impl Config {
     /// The whole configuration, defaults included, as TOML.
     pub fn to_toml(&self) -> String {
         toml::to_string_pretty(self).expect("a configuration is TOML")
+    }
+
+    /// A hash of everything that must stay the same when a run is resumed: all but its place, its
+    /// device, and how long, fast and patiently it trains.
+    pub fn experiment_fingerprint(&self) -> String {
+        let defaults = TrainingConfig::default();
+        let experiment = Self {
+            name: String::new(),
+            checkpoints: default_checkpoints(),
+            device: default_device(),
+            data: DataConfig {
+                root: PathBuf::new(),
+                max_bad_fraction: default_max_bad_fraction(),
+                cache_mb: default_cache_mb(),
+                ..self.data.clone()
+            },
+            training: TrainingConfig {
+                batch: self.training.batch,
+                batches_per_epoch: self.training.batches_per_epoch,
+                ..defaults
+            },
+            ..self.clone()
+        };
+        sha256_hex(experiment.to_toml().as_bytes())
     }
 
     /// Exact number of pairs of each system in a mini-batch.

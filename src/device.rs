@@ -14,12 +14,13 @@ pub const DEVICE_NAMES: &str = "auto | flex | ndarray | wgpu | vulkan | cuda[:i]
 /// # Errors
 /// The name is unknown, its backend is not compiled in, or the machine has no such device.
 pub fn open_device(name: &str) -> Result<Device> {
-    match name.split_once(':').unwrap_or((name, "")) {
-        ("auto", "") => Ok(auto()),
-        ("flex", "") => flex(name),
-        ("ndarray", "") => ndarray(name),
-        ("wgpu", "") => wgpu(name),
-        ("vulkan", "") => vulkan(name),
+    let (backend, index) = name.split_once(':').map_or((name, None), |(backend, index)| (backend, Some(index)));
+    match (backend, index) {
+        ("auto", None) => Ok(auto()),
+        ("flex", None) => flex(name),
+        ("ndarray", None) => ndarray(name),
+        ("wgpu", None) => wgpu(name),
+        ("vulkan", None) => vulkan(name),
         ("cuda", index) => cuda(name, index),
         _ => Err(Error::Device { name: name.to_owned(), problem: format!("unknown; expected {DEVICE_NAMES}") }),
     }
@@ -88,11 +89,11 @@ fn vulkan(name: &str) -> Result<Device> {
 }
 
 #[cfg(feature = "cuda")]
-fn cuda(name: &str, index: &str) -> Result<Device> {
+fn cuda(name: &str, index: Option<&str>) -> Result<Device> {
     let problem = |problem: String| Error::Device { name: name.to_owned(), problem };
     let index: usize = match index {
-        "" => 0,
-        index => index
+        None => 0,
+        Some(index) => index
             .parse()
             .map_err(|_| problem(format!("`{index}` is not a number; expected cuda or cuda:0, cuda:1, …")))?,
     };
@@ -105,7 +106,7 @@ fn cuda(name: &str, index: &str) -> Result<Device> {
 }
 
 #[cfg(not(feature = "cuda"))]
-fn cuda(name: &str, _: &str) -> Result<Device> {
+fn cuda(name: &str, _: Option<&str>) -> Result<Device> {
     Err(not_compiled(name, "cuda"))
 }
 
@@ -132,7 +133,7 @@ fn is_real_gpu(device: &Device) -> bool {
 
 fn auto() -> Device {
     #[cfg(feature = "cuda")]
-    if let Ok(device) = cuda("auto", "") {
+    if let Ok(device) = cuda("auto", None) {
         return device;
     }
     #[cfg(feature = "wgpu")]

@@ -11,14 +11,14 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// The operating system refused a file operation.
-    #[error("{}: cannot {action}: {source}", path.display())]
+    #[error("{}: cannot {action}: {reason}", path.display())]
     Io {
         /// What was tried ("read", "create the folder").
         action: &'static str,
         /// On which file.
         path: PathBuf,
-        /// Why it failed.
-        source: io::Error,
+        /// Why it failed, as the operating system puts it.
+        reason: io::Error,
     },
     /// A file's content is not what its format says.
     #[error("{}{place}: found {found}; expected {expected}", path.display())]
@@ -92,7 +92,7 @@ impl Error {
     /// For `map_err` on file operations.
     pub fn io(action: &'static str, path: impl AsRef<Path>) -> impl FnOnce(io::Error) -> Self {
         let path = path.as_ref().to_owned();
-        move |source| Self::Io { action, path, source }
+        move |reason| Self::Io { action, path, reason }
     }
 
     /// A file whose content is not what its format says.

@@ -4,6 +4,7 @@
 use std::io::Write;
 use std::path::Path;
 
+use sha2::{Digest, Sha256};
 use tempfile::NamedTempFile;
 
 use crate::error::{Error, Place, Result};
@@ -11,6 +12,11 @@ use crate::error::{Error, Place, Result};
 /// Reads a whole text file.
 pub(crate) fn read_text(path: &Path) -> Result<String> {
     std::fs::read_to_string(path).map_err(Error::io("read", path))
+}
+
+/// SHA-256 in hexadecimal.
+pub(crate) fn sha256_hex(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// Parses whitespace-separated finite numbers.
@@ -36,8 +42,19 @@ pub(crate) fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
     Ok(())
 }
 
+/// Makes sure a file that someone else wrote is on the disk, and gives it its final name.
+///
+/// # Errors
+/// The disk does not take it; a file of that name stays as it was.
+pub(crate) fn put_in_place(temporary: &Path, path: &Path) -> Result<()> {
+    let written = std::fs::File::open(temporary).and_then(|file| file.sync_all());
+    written.map_err(Error::io("write", path))?;
+    make_readable(temporary);
+    std::fs::rename(temporary, path).map_err(Error::io("rename into place", path))
+}
+
 /// Temporary files are private to their owner; results are to be read like any other file.
-pub(crate) fn make_readable(path: &Path) {
+fn make_readable(path: &Path) {
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt;

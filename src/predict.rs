@@ -117,11 +117,19 @@ impl Model {
     /// in axes of [`Model::error_frame`].
     ///
     /// # Errors
-    /// Images do not have the camera's size, or the pose or intrinsics are not finite.
+    /// Images do not have the camera's size, buffers not the size they state, the pose or intrinsics
+    /// are not finite, or the model's output is not.
     pub fn predict(&self, measurement: &Measurement) -> Result<Covariance6> {
         let sample = self.prepare(measurement)?;
         let log_variance = self.network.forward(&PairBatch::new(&[sample], &self.device));
-        Ok(Covariance6::from_log_variances(&Vector6::from_vec(read_values(log_variance)?)))
+        let log_variance = Vector6::from_vec(read_values(log_variance)?);
+        if log_variance.iter().any(|d| !d.is_finite()) {
+            return Err(Error::Data(format!(
+                "the model predicts {:?}; its weights are not usable",
+                log_variance.as_slice()
+            )));
+        }
+        Ok(Covariance6::from_log_variances(&log_variance))
     }
 
     fn prepare(&self, measurement: &Measurement) -> Result<PairSample> {
@@ -137,10 +145,21 @@ impl Model {
                 )));
             }
         }
-        if [camera.fx, camera.fy].iter().any(|&focal| !(focal > 0.0 && focal.is_finite()))
-            || !source_from_target.is_finite()
-        {
-            return Err(Error::Data("the measurement's focal lengths must be positive and its pose finite".to_owned()));
+        for (name, image) in [("source image", source_image), ("target image", target_image)] {
+            if image.bytes.len() != 3 * image.width * image.height {
+                let found = image.bytes.len();
+                return Err(Error::Data(format!("the {name} has {found} bytes; expected 3 for each of its pixels")));
+            }
+        }
+        if target_depth.depth_m.len() != target_depth.width * target_depth.height || target_depth.depth_m.is_empty() {
+            return Err(Error::Data("the depth map does not hold one depth for each of its pixels".to_owned()));
+        }
+        let intrinsics = [camera.fx, camera.fy, camera.cx, camera.cy];
+        let usable = intrinsics.iter().all(|value| value.is_finite()) && camera.fx > 0.0 && camera.fy > 0.0;
+        if !usable || !source_from_target.is_finite() {
+            return Err(Error::Data(
+                "the measurement's intrinsics and pose must be finite and its focal lengths positive".to_owned(),
+            ));
         }
         let (width, height) = (self.architecture.width, self.architecture.height);
         Ok(PairSample {

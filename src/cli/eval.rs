@@ -6,11 +6,11 @@ use std::sync::Arc;
 use clap::{Args, ValueEnum};
 
 use super::progress::{Progress, note};
-use super::{Overrides, RunPath, Terminal, print_result};
+use super::{Overrides, Terminal, print_result};
 use crate::data::{Dataset, PairReader, PairScope, SplitName};
 use crate::device::{device_name, open_device};
 use crate::error::Error;
-use crate::evaluation::{evaluate_run, predict_split, write_results};
+use crate::evaluation::{MethodName, evaluate_run, predict_split, write_results};
 use crate::report::mde_table;
 use crate::training::RunFolder;
 
@@ -23,7 +23,7 @@ use crate::training::RunFolder;
 pub struct EvalArguments {
     /// Run folder of a trained model
     #[arg(long, value_name = "RUN")]
-    run: RunPath,
+    run: PathBuf,
     /// Evaluate on the data of another configuration
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -77,7 +77,7 @@ pub fn evaluate(
     let device = open_device(&config.device)?;
     let dataset = Dataset::load(&config, PairScope::Images)?;
     let pairs = dataset.require(split)?;
-    let reader = Arc::new(PairReader::new(&config, &dataset));
+    let reader = Arc::new(PairReader::new(&config, &dataset, split));
     let model = run.load_model(&manifest, &device)?;
 
     let mut progress = Progress::new(terminal.quiet, "evaluating", 0, pairs.pairs.len());
@@ -89,10 +89,17 @@ pub fn evaluate(
     let bad_frames = reader.bad_frames();
     let evaluation =
         evaluate_run(&predictions, &dataset, &manifest, run_path, split, device_name(&device), &bad_frames)?;
-    write_results(run.path(), &evaluation, &predictions, &dataset)?;
+    // The table first: a folder that cannot be written must not cost it.
+    print_result(&mde_table(&evaluation))?;
+    for (system, results) in &evaluation.systems {
+        if results.methods.iter().all(|(name, _)| *name != MethodName::Constant.name()) {
+            note(terminal.quiet, &format!("no constant baseline for `{system}`: the run was not trained on it"));
+        }
+    }
     for bad in &bad_frames {
         note(false, &format!("left out: {} frame {}: {}", bad.drive, bad.frame, bad.problem));
     }
+    write_results(run.path(), &evaluation, &predictions, &dataset)?;
     note(terminal.quiet, &format!("wrote {} and pairs.csv beside it", run.path().join("evaluation.json").display()));
-    print_result(&mde_table(&evaluation))
+    Ok(())
 }

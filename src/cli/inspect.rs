@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use comfy_table::{CellAlignment, Table, presets};
 
-use super::{Overrides, print_result};
+use super::print_result;
 use crate::config::Config;
 use crate::data::{Coverage, Dataset, PairScope, SplitName};
 
@@ -18,12 +18,13 @@ pub struct InspectArguments {
     /// The experiment
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
-    #[command(flatten)]
-    overrides: Overrides,
+    /// Override a configuration key (TOML value or plain text); repeatable
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    set: Vec<String>,
 }
 
 pub fn run(arguments: InspectArguments) -> anyhow::Result<()> {
-    let config = arguments.overrides.load(&arguments.config)?;
+    let config = Config::load(&arguments.config, &arguments.set)?;
     let dataset = Dataset::load(&config, PairScope::Images)?;
     print_result(&describe(&config, &dataset))
 }
@@ -77,8 +78,8 @@ fn coverage_table(dataset: &Dataset) -> Table {
         let counts = [
             coverage.true_poses,
             coverage.images,
-            drive.right_images.len(),
-            drive.scans.len(),
+            coverage.right_images,
+            coverage.scans,
             coverage.pose_pairs,
             coverage.image_pairs,
             coverage.depth_pairs,
@@ -121,11 +122,21 @@ fn problems(dataset: &Dataset) -> Vec<String> {
         })
     });
     let unreadable = dataset.drives.iter().flat_map(|drive| drive.problems.iter().cloned());
-    let empty = dataset.coverage.iter().filter(|coverage| coverage.image_pairs == 0).map(|coverage| {
-        format!(
-            "{}: no image pairs, so none of its {} pose pairs can be used",
-            dataset.drives[coverage.drive].name, coverage.pose_pairs
-        )
+    let name = |coverage: &Coverage| dataset.drives[coverage.drive].name.clone();
+    let empty = dataset.coverage.iter().filter_map(|coverage| {
+        let Coverage { pose_pairs, image_pairs, depth_pairs, .. } = *coverage;
+        let drive = name(coverage);
+        match (pose_pairs, image_pairs, depth_pairs) {
+            (0, ..) => Some(format!("{drive}: no pairs of true poses")),
+            (_, 0, _) => Some(format!("{drive}: no image pairs, so none of its {pose_pairs} pose pairs can be used")),
+            (.., 0) => Some(format!("{drive}: no depth, so none of its {image_pairs} image pairs can be used")),
+            _ => None,
+        }
     });
-    missing.chain(unreadable).chain(empty).collect()
+    let unmeasured = dataset.coverage.iter().flat_map(|coverage| {
+        let counts = coverage.measured_pairs.iter().zip(&coverage.missing_files).zip(&dataset.systems);
+        let empty = counts.filter(|((measured, missing), _)| **measured == 0 && missing.is_none());
+        empty.map(move |(_, system)| format!("{}: `{system}` measured no pair with true poses", name(coverage)))
+    });
+    missing.chain(unreadable).chain(empty).chain(unmeasured).collect()
 }

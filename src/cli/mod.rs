@@ -8,7 +8,6 @@ mod progress;
 mod train;
 
 use std::io::IsTerminal;
-use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
@@ -53,8 +52,7 @@ struct Overrides {
     /// Override a configuration key (TOML value or plain text); repeatable
     #[arg(long = "set", value_name = "KEY=VALUE")]
     set: Vec<String>,
-    /// Where to compute [default: the configuration's, else auto]
-    #[arg(long, value_name = "DEVICE", help = format!("Where to compute: {DEVICE_NAMES}"))]
+    #[arg(long, value_name = "DEVICE", help = format!("Where to compute: {DEVICE_NAMES} [default: the configuration's, else auto]"))]
     device: Option<String>,
 }
 
@@ -87,7 +85,7 @@ pub fn run() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) if matches!(error.downcast_ref(), Some(Error::Interrupted)) => ExitCode::from(INTERRUPTED),
         Err(error) => {
-            eprintln!("error: {error:#}");
+            progress::note(false, &format!("error: {error:#}"));
             ExitCode::FAILURE
         }
     }
@@ -118,6 +116,3 @@ fn print_result(text: &str) -> anyhow::Result<()> {
         _ => Ok(()),
     }
 }
-
-/// A value parser's help for a run folder.
-type RunPath = PathBuf;

@@ -20,7 +20,9 @@ pub struct LogWriter;
 
 impl Write for LogWriter {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        bars().suspend(|| io::stderr().write(bytes))
+        // As if written, when it cannot be: see `note`.
+        let _ = bars().suspend(|| io::stderr().write_all(bytes));
+        Ok(bytes.len())
     }
 
     fn flush(&mut self) -> io::Result<()> {
@@ -28,10 +30,13 @@ impl Write for LogWriter {
     }
 }
 
-/// Prints a line to stderr without tearing the bar.
+/// Prints a line to stderr without tearing the bar. A stderr that is closed or full costs the line,
+/// never the run.
 pub fn note(quiet: bool, text: &str) {
     if !quiet {
-        bars().suspend(|| eprintln!("{text}"));
+        bars().suspend(|| {
+            let _ = writeln!(io::stderr(), "{text}");
+        });
     }
 }
 
@@ -81,7 +86,8 @@ impl Progress {
         if self.lines && self.last_line.elapsed() >= LINE_EVERY {
             let per_item = self.begin.elapsed().as_secs_f64() / (done - self.first).max(1) as f64;
             let left = Duration::from_secs_f64(per_item * self.total.saturating_sub(done) as f64);
-            eprintln!("{} {done}/{} {message}, {} left", self.label, self.total, indicatif::HumanDuration(left));
+            let left = indicatif::HumanDuration(left);
+            note(false, &format!("{} {done}/{} {message}, {left} left", self.label, self.total));
             self.last_line = Instant::now();
         }
     }

@@ -2,13 +2,13 @@
 
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Context;
 use clap::Args;
 
 use super::progress::{Progress, note};
-use super::{Overrides, RunPath, Terminal, eval};
+use super::{Overrides, Terminal, eval};
 use crate::data::{Dataset, PairScope, SplitName};
 use crate::device::{device_name, is_slow_to_train, open_device};
 use crate::error::Error;
@@ -22,7 +22,7 @@ use crate::training::{Event, Learner, RunFolder, StopReason};
   relcov train --config configs/kitti_sample.toml --set training.epochs=2 --set name=trial
   relcov train --resume checkpoints/kitti_sample
 
-Ctrl-C finishes the mini-batch under way and saves it; --resume continues from there
+Ctrl-C (or SIGTERM) finishes the mini-batch under way and saves it; --resume continues from there
 to the same result. Ctrl-C again stops at once.")]
 pub struct TrainArguments {
     /// The experiment
@@ -30,7 +30,7 @@ pub struct TrainArguments {
     config: Option<PathBuf>,
     /// Continue the run in this folder
     #[arg(long, value_name = "RUN")]
-    resume: Option<RunPath>,
+    resume: Option<PathBuf>,
     /// Replace the run that the folder holds already
     #[arg(long, conflicts_with = "resume")]
     force: bool,
@@ -40,8 +40,10 @@ pub struct TrainArguments {
 
 pub fn run(arguments: TrainArguments, terminal: &Terminal) -> anyhow::Result<()> {
     let mut learner = prepare(&arguments, terminal)?;
-    interrupt_on_ctrl_c(&learner)?;
+    let training = Arc::new(AtomicBool::new(true));
+    interrupt_on_ctrl_c(&learner, training.clone())?;
     let outcome = learner.train(&mut observer(terminal.quiet));
+    training.store(false, Ordering::Relaxed);
     let outcome = match outcome {
         Err(Error::Interrupted) => {
             note(
@@ -60,7 +62,7 @@ pub fn run(arguments: TrainArguments, terminal: &Terminal) -> anyhow::Result<()>
         terminal.quiet,
         &format!("stopped after epoch {}: {reason}; kept the model of epoch {}", outcome.epochs, outcome.best_epoch),
     );
-    let bad = learner.reader().bad_frames();
+    let bad = learner.bad_frames();
     if !bad.is_empty() {
         note(false, &format!("{} frames could not be read and were left out", bad.len()));
     }
@@ -90,16 +92,20 @@ fn prepare(arguments: &TrainArguments, terminal: &Terminal) -> anyhow::Result<Le
             dataset.systems.iter().zip(&split.systems).map(|(name, range)| format!("{} {name}", range.len())).collect();
         note(terminal.quiet, &format!("{}: {} pairs", split.name.name(), counts.join(", ")));
     }
+    // Found now rather than after hours of training.
+    dataset.require(SplitName::Test)?;
     Ok(match resumed {
         Some(run) => Learner::resume(config, dataset, &device, run)?,
         None => Learner::start(config, dataset, &device, arguments.force)?,
     })
 }
 
-fn interrupt_on_ctrl_c(learner: &Learner) -> anyhow::Result<()> {
+/// The first Ctrl-C (or SIGTERM, as job schedulers send it) saves; the second one, or one after
+/// training, stops at once.
+fn interrupt_on_ctrl_c(learner: &Learner, training: Arc<AtomicBool>) -> anyhow::Result<()> {
     let flag = learner.interrupt_flag();
     ctrlc::set_handler(move || {
-        if flag.swap(true, Ordering::Relaxed) {
+        if flag.swap(true, Ordering::Relaxed) || !training.load(Ordering::Relaxed) {
             std::process::exit(i32::from(super::INTERRUPTED));
         }
         note(false, "finishing this mini-batch, then saving (Ctrl-C again stops at once)");

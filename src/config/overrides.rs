@@ -6,6 +6,9 @@ use toml::{Table, Value};
 
 use crate::error::{Error, Place, Result};
 
+/// Tables whose other keys depend on `source`, and the source they have when they name none.
+const DEFAULT_SOURCES: [(&str, &str); 2] = [("depth", "ground_plane"), ("truth", "oxts")];
+
 /// Keys whose values are paths.
 const PATH_KEYS: [&str; 2] = ["data.root", "checkpoints"];
 
@@ -27,14 +30,24 @@ pub(super) fn merge(
         assign(&mut table, "data.root", Value::String(root.display().to_string()))?;
         anchor(&mut table, "data.root", Path::new(""));
     }
+    let mut assignments = Vec::new();
     for text in overrides {
         let (key, value) = text
             .split_once('=')
             .ok_or_else(|| Error::config(text, "an override has the form key=value, such as training.epochs=3"))?;
-        let (key, value) = (key.trim(), value.trim());
+        assignments.push((key.trim(), value.trim()));
+    }
+    // A source decides which keys stand beside it, so it comes first.
+    assignments.sort_by_key(|(key, _)| !key.ends_with(".source"));
+    for (key, value) in assignments {
         assign(&mut table, key, parse_value(value))?;
         if PATH_KEYS.contains(&key) {
             anchor(&mut table, key, Path::new(""));
+        }
+    }
+    for (key, source) in DEFAULT_SOURCES {
+        if let Some(Value::Table(slots)) = table.get_mut(key) {
+            slots.entry("source").or_insert_with(|| Value::String(source.to_owned()));
         }
     }
     Ok(table)
@@ -49,30 +62,30 @@ fn parse_value(text: &str) -> Value {
 }
 
 fn assign(table: &mut Table, key: &str, value: Value) -> Result<()> {
-    let (parents, last) = match key.rsplit_once('.') {
-        Some((parents, last)) => (parents.split('.').collect(), last),
-        None => (Vec::new(), key),
-    };
-    let unknown = |part: &str| Error::config(key, format!("`{part}` is not a table or list that can be set into"));
-    let mut slots = table;
-    let mut parts = parents.into_iter();
-    while let Some(part) = parts.next() {
-        let child = slots.entry(part).or_insert_with(|| Value::Table(Table::new()));
-        slots = match child {
+    let parts: Vec<&str> = key.split('.').collect();
+    let (last, parents) = parts.split_last().expect("split gives at least one part");
+    let mut slot = table;
+    let mut parents = parents.iter();
+    while let Some(part) = parents.next() {
+        let child = slot.entry(*part).or_insert_with(|| Value::Table(Table::new()));
+        slot = match child {
             Value::Table(table) => table,
             Value::Array(items) => {
-                let index = parts.next().and_then(|index| index.parse::<usize>().ok());
-                let item = index.and_then(|index| items.get_mut(index));
-                item.and_then(Value::as_table_mut).ok_or_else(|| unknown(part))?
+                let index = parents.next().unwrap_or(last);
+                let count = items.len();
+                let item = index.parse::<usize>().ok().and_then(|index| items.get_mut(index));
+                item.and_then(Value::as_table_mut).ok_or_else(|| {
+                    Error::config(key, format!("`{part}` is a list of {count}; {part}.0.KEY sets a key of its first"))
+                })?
             }
-            _ => return Err(unknown(part)),
+            _ => return Err(Error::config(key, format!("`{part}` is a value and has no keys to set"))),
         };
     }
-    // Another depth source has other keys: those of the old one would be unknown to it.
-    if last == "source" {
-        slots.retain(|key, _| key == "name" || key == "share");
+    // Another source has other keys: those of the old one would be unknown to it.
+    if *last == "source" && slot.get("source") != Some(&value) {
+        slot.retain(|key, _| key == "name" || key == "share");
     }
-    slots.insert(last.to_owned(), value);
+    slot.insert((*last).to_owned(), value);
     Ok(())
 }
 

@@ -1,6 +1,6 @@
 //! What a configuration must satisfy beyond its types.
 
-use super::{Config, MinLogVariance};
+use super::{Config, DepthConfig, MinLogVariance};
 use crate::error::{Error, Result};
 
 impl Config {
@@ -12,15 +12,15 @@ impl Config {
         self.validate_name()?;
         self.validate_data()?;
         self.validate_systems()?;
+        self.validate_depth()?;
         self.validate_model()?;
         self.validate_training()
     }
 
     fn validate_name(&self) -> Result<()> {
-        let plain = !self.name.is_empty()
-            && self.name.chars().all(|c| c.is_alphanumeric() || "-_.".contains(c))
-            && !self.name.starts_with('.');
-        require(plain, "name", || format!("`{}` cannot name a folder; use letters, digits, - and _", self.name))
+        require(is_plain(&self.name), "name", || {
+            format!("`{}` cannot name a folder; use letters, digits, - and _", self.name)
+        })
     }
 
     fn validate_data(&self) -> Result<()> {
@@ -50,8 +50,10 @@ impl Config {
             let key = format!("systems.{index}.share");
             require(system.share > 0.0 && system.share <= 1.0, &key, || format!("{} is not in (0, 1]", system.share))?;
             let twin = self.systems[..index].iter().any(|other| other.name == system.name);
-            require(!twin && !system.name.is_empty(), &format!("systems.{index}.name"), || {
-                format!("`{}` is empty or used twice; tables tell systems apart by name", system.name)
+            let key = format!("systems.{index}.name");
+            require(!twin, &key, || format!("`{}` is used twice; tables tell systems apart by name", system.name))?;
+            require(is_plain(&system.name), &key, || {
+                format!("`{}` cannot head a column; use letters, digits, - and _", system.name)
             })?;
         }
         let total: f64 = self.systems.iter().map(|system| system.share).sum();
@@ -84,6 +86,23 @@ impl Config {
             require(known, "training.watch_system", || format!("`{name}` is none of the systems"))?;
         }
         Ok(())
+    }
+
+    fn validate_depth(&self) -> Result<()> {
+        match &self.depth {
+            DepthConfig::GroundPlane { camera_height_m, horizon_px, max_depth_m } => {
+                let positive = |key: &str, metres: f64| {
+                    require(metres.is_finite() && metres > 0.0, &format!("depth.{key}"), || {
+                        format!("{metres} m is not positive")
+                    })
+                };
+                positive("camera_height_m", *camera_height_m)?;
+                positive("max_depth_m", *max_depth_m)?;
+                let row = horizon_px.unwrap_or(0.0);
+                require(row.is_finite(), "depth.horizon_px", || format!("{row} is no image row"))
+            }
+            DepthConfig::Lidar { .. } | DepthConfig::Files { .. } => Ok(()),
+        }
     }
 
     fn validate_model(&self) -> Result<()> {
@@ -119,6 +138,11 @@ impl Config {
         ] {
             require(value > 0, &format!("training.{key}"), || "must be at least 1".to_owned())?;
         }
+        for (key, value, most) in
+            [("loader_threads", training.loader_threads, 256), ("prefetch", training.prefetch, 1024)]
+        {
+            require(value <= most, &format!("training.{key}"), || format!("{value} is more than {most}"))?;
+        }
         let rate = training.learning_rate;
         require(rate.is_finite() && rate > 0.0, "training.learning_rate", || format!("{rate} is not positive"))?;
         let tolerance = training.stop.tolerance;
@@ -126,6 +150,11 @@ impl Config {
             format!("{tolerance} is negative")
         })
     }
+}
+
+/// Fit to name a folder and a column.
+fn is_plain(name: &str) -> bool {
+    !name.is_empty() && !name.starts_with('.') && name.chars().all(|c| c.is_alphanumeric() || "-_.".contains(c))
 }
 
 fn require(condition: bool, key: &str, problem: impl FnOnce() -> String) -> Result<()> {

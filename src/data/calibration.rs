@@ -84,12 +84,15 @@ struct KeyedLines {
 impl KeyedLines {
     fn load(path: PathBuf) -> Result<Self> {
         let text = read_text(&path)?;
-        let lines = text
-            .lines()
-            .enumerate()
-            .filter_map(|(index, line)| line.split_once(':').map(|(key, values)| (key.trim(), index + 1, values)))
-            .map(|(key, line, values)| (key.to_owned(), (line, values.to_owned())))
-            .collect();
+        let mut lines: HashMap<String, (usize, String)> = HashMap::new();
+        for (index, line) in text.lines().enumerate() {
+            let Some((key, values)) = line.split_once(':') else { continue };
+            let twin = lines.insert(key.trim().to_owned(), (index + 1, values.to_owned()));
+            if let Some((first, _)) = twin {
+                let found = format!("`{}` again, first on line {first}", key.trim());
+                return Err(Error::malformed(path, Place::Line(index + 1), found, "each key once"));
+            }
+        }
         Ok(Self { path, lines })
     }
 

@@ -1,6 +1,6 @@
 //! The pairs of an experiment: measured pose, true pose and images joined, split by split.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::path::PathBuf;
 
@@ -112,6 +112,10 @@ pub struct Coverage {
     pub true_poses: usize,
     /// Frames with an image.
     pub images: usize,
+    /// Frames with an image of the right camera.
+    pub right_images: usize,
+    /// Frames with a LiDAR scan.
+    pub scans: usize,
     /// Neighbouring frames that both have a true pose.
     pub pose_pairs: usize,
     /// Of those, pairs whose two images exist.
@@ -149,7 +153,7 @@ impl Dataset {
         let (train, validation) =
             if held_out { hold_out(train, config.data.validation_fraction) } else { (train, validation) };
         let systems = config.systems.len();
-        Ok(Self {
+        let dataset = Self {
             root: config.data.root.clone(),
             drives: loader.drives,
             systems: config.systems.iter().map(|system| system.name.clone()).collect(),
@@ -157,7 +161,23 @@ impl Dataset {
             validation: Split::new(SplitName::Validation, validation, systems),
             test: Split::new(SplitName::Test, test, systems),
             coverage,
-        })
+        };
+        dataset.refuse_overlap(&dataset.validation)?;
+        dataset.refuse_overlap(&dataset.test)?;
+        Ok(dataset)
+    }
+
+    /// A pair that is learned from proves nothing when it is evaluated.
+    fn refuse_overlap(&self, evaluated: &Split) -> Result<()> {
+        let learned: BTreeSet<PairId> = self.train.pairs.iter().map(|pair| pair.id).collect();
+        let Some(shared) = evaluated.pairs.iter().find(|pair| learned.contains(&pair.id)) else { return Ok(()) };
+        Err(Error::config(
+            format!("data.{}", evaluated.name.name()),
+            format!(
+                "{} frames {} and {} are in data.train too; give the splits different drives or frames",
+                self.drives[shared.id.drive].name, shared.id.source, shared.id.target
+            ),
+        ))
     }
 
     /// The split of that role.
@@ -245,22 +265,23 @@ impl Split {
     }
 }
 
-/// Gives the last part of each drive to the second set.
+/// Gives the last part of each drive to the second set; the pair before it, which shares an image with
+/// it, goes to neither.
 fn hold_out(pairs: Vec<Pair>, fraction: f64) -> (Vec<Pair>, Vec<Pair>) {
-    let mut sources: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    let mut sources: BTreeMap<usize, BTreeSet<usize>> = BTreeMap::new();
     for pair in &pairs {
-        sources.entry(pair.id.drive).or_default().push(pair.id.source);
+        sources.entry(pair.id.drive).or_default().insert(pair.id.source);
     }
     let first_held_out: BTreeMap<usize, usize> = sources
         .into_iter()
-        .filter_map(|(drive, mut frames)| {
-            frames.sort_unstable();
-            frames.dedup();
+        .filter_map(|(drive, frames)| {
             let kept = frames.len() - (frames.len() as f64 * fraction).floor() as usize;
-            Some((drive, *frames.get(kept)?))
+            Some((drive, *frames.iter().nth(kept)?))
         })
         .collect();
-    pairs.into_iter().partition(|pair| first_held_out.get(&pair.id.drive).is_none_or(|&first| pair.id.source < first))
+    let first = |pair: &Pair| first_held_out.get(&pair.id.drive).copied().unwrap_or(usize::MAX);
+    let (held_out, kept): (Vec<Pair>, Vec<Pair>) = pairs.into_iter().partition(|pair| pair.id.source >= first(pair));
+    (kept.into_iter().filter(|pair| pair.id.target < first(pair)).collect(), held_out)
 }
 
 struct Loader<'a> {
@@ -291,6 +312,7 @@ impl Loader<'_> {
         let image_pairs: Vec<_> = pose_pairs.iter().copied().filter(has_images).collect();
         let depth_pairs = image_pairs.iter().copied().filter(has_depth).count();
 
+        let count = |files: &BTreeMap<usize, PathBuf>| files.keys().filter(|&&frame| wanted_frame(frame)).count();
         let mut pairs = Vec::new();
         let mut measured_pairs = Vec::new();
         for (system, measurements) in systems.iter().enumerate() {
@@ -330,7 +352,9 @@ impl Loader<'_> {
             drive: index,
             frames: wanted.frames,
             true_poses: true_poses.keys().filter(|&&frame| wanted_frame(frame)).count(),
-            images: drive.images.keys().filter(|&&frame| wanted_frame(frame)).count(),
+            images: count(&drive.images),
+            right_images: count(&drive.right_images),
+            scans: count(&drive.scans),
             pose_pairs: pose_pairs.len(),
             image_pairs: image_pairs.len(),
             depth_pairs,
@@ -362,6 +386,7 @@ impl Loader<'_> {
             .iter()
             .map(|system| load_measurements(&system.source, &drive, root, &true_poses))
             .collect::<Result<_>>()?;
+        tracing::debug!("{name}: {} packets, {} images", drive.oxts_poses.len(), drive.images.len());
         self.drives.push(drive);
         self.sources.push((true_poses, systems));
         Ok(self.drives.len() - 1)

@@ -9,6 +9,9 @@ use crate::error::{Error, Place, Result};
 use crate::files::read_text;
 use crate::geometry::Pose;
 
+/// Frame indices above this are taken for mistakes.
+const LARGEST_FRAME: usize = 1_000_000_000;
+
 /// Files by frame index.
 pub type FrameFiles = BTreeMap<usize, PathBuf>;
 
@@ -95,10 +98,23 @@ fn list_frames(folder: &Path, extensions: &[&str]) -> Result<FrameFiles> {
         let path = entry.map_err(Error::io("list", folder))?.path();
         let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or("").to_ascii_lowercase();
         let index = path.file_stem().and_then(|stem| stem.to_str()).and_then(|stem| stem.parse().ok());
-        if let Some(index) = index
-            && extensions.contains(&extension.as_str())
-        {
-            frames.insert(index, path);
+        let Some(index) = index.filter(|_| extensions.contains(&extension.as_str())) else { continue };
+        if index > LARGEST_FRAME {
+            return Err(Error::malformed(
+                path,
+                Place::Whole,
+                format!("frame index {index}"),
+                format!("at most {LARGEST_FRAME}"),
+            ));
+        }
+        if let Some(twin) = frames.insert(index, path.clone()) {
+            let found = format!("a second file of frame {index} beside {}", twin.display());
+            return Err(Error::malformed(
+                path,
+                Place::Whole,
+                found,
+                "one file for each frame; remove or move the other",
+            ));
         }
     }
     Ok(frames)

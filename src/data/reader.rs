@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use quick_cache::Weighter;
 use quick_cache::sync::Cache;
 
-use super::dataset::{Dataset, Pair, Split};
+use super::dataset::{Dataset, Pair, PairId, SplitName};
 use super::drive::Drive;
 use super::image::{RgbImage, read_image};
 use crate::config::{Config, DepthConfig};
@@ -53,12 +53,13 @@ pub struct PairReader {
     cameras: Vec<Pinhole>,
     depth: DepthConfig,
     frames: Cache<FrameKey, Frame, FrameWeighter>,
-    bad_frames: Mutex<BTreeMap<(usize, usize), String>>,
+    bad_frames: Mutex<BTreeMap<FrameKey, String>>,
     max_bad_frames: f64,
     max_bad_fraction: f64,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+/// What is read of a frame: drive and frame index.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 enum FrameKey {
     Image(usize, usize),
     Depth(usize, usize),
@@ -83,16 +84,14 @@ impl Weighter<FrameKey, Frame> for FrameWeighter {
 }
 
 impl PairReader {
-    /// A reader for the pairs of a data set at the configured network size.
-    pub fn new(config: &Config, dataset: &Dataset) -> Self {
+    /// A reader for the pairs of one split at the configured network size.
+    pub fn new(config: &Config, dataset: &Dataset, split: SplitName) -> Self {
         let (width, height) = (config.model.width, config.model.height);
         let cache_bytes = config.data.cache_mb as u64 * 1_000_000;
         let typical_frame = (3 * width * height) as u64;
-        let frames: HashSet<_> = [&dataset.train, &dataset.validation, &dataset.test]
-            .into_iter()
-            .flat_map(|split: &Split| &split.pairs)
-            .flat_map(|pair| [(pair.id.drive, pair.id.source), (pair.id.drive, pair.id.target)])
-            .collect();
+        let pairs = &dataset.split(split).pairs;
+        let frames: HashSet<_> =
+            pairs.iter().flat_map(|pair| [(pair.id.drive, pair.id.source), (pair.id.drive, pair.id.target)]).collect();
         let max_bad_fraction = config.data.max_bad_fraction;
         Self {
             root: dataset.root.clone(),
@@ -111,30 +110,24 @@ impl PairReader {
     /// # Errors
     /// More frames are bad than the configuration allows.
     pub fn read(&self, pair: &Pair) -> Result<Option<PairSample>> {
-        let camera = self.cameras[pair.id.drive];
-        let (drive, source, target) = (pair.id.drive, pair.id.source, pair.id.target);
-        if [source, target].iter().any(|&frame| self.bad_frames_lock().contains_key(&(drive, frame))) {
+        let PairId { drive, source, target } = pair.id;
+        let (source_key, target_key) = (FrameKey::Image(drive, source), FrameKey::Image(drive, target));
+        let depth_key = FrameKey::Depth(drive, target);
+        if [source_key, target_key, depth_key].iter().any(|key| self.bad_frames_lock().contains_key(key)) {
             return Ok(None);
         }
-        let images = (self.image(drive, source), self.image(drive, target), self.target_depth(drive, target));
-        let (source_image, target_image, target_depth) = match images {
-            (Ok(source_image), Ok(target_image), Ok(target_depth)) => (source_image, target_image, target_depth),
-            (source_image, target_image, target_depth) => {
-                let problems =
-                    [(source, source_image.err()), (target, target_image.err()), (target, target_depth.err())];
-                for (frame, problem) in problems {
-                    if let Some(problem) = problem {
-                        self.note_bad_frame(drive, frame, &problem)?;
-                    }
-                }
-                return Ok(None);
-            }
+        let source_image = self.unless_bad(source_key, self.image(drive, source))?;
+        let target_image = self.unless_bad(target_key, self.image(drive, target))?;
+        let target_depth = self.unless_bad(depth_key, self.target_depth(drive, target))?;
+        let (Some(source_image), Some(target_image), Some(target_depth)) = (source_image, target_image, target_depth)
+        else {
+            return Ok(None);
         };
         Ok(Some(PairSample {
             source_image,
             target_image,
             target_depth,
-            camera,
+            camera: self.cameras[drive],
             source_from_target: pair.source_from_target,
             error: pair.error,
         }))
@@ -142,11 +135,11 @@ impl PairReader {
 
     /// The frames that could not be read so far.
     pub fn bad_frames(&self) -> Vec<BadFrame> {
-        let name = |drive: usize| self.drives[drive].name.clone();
-        self.bad_frames_lock()
-            .iter()
-            .map(|(&(drive, frame), problem)| BadFrame { drive: name(drive), frame, problem: problem.clone() })
-            .collect()
+        let bad_frame = |(key, problem): (&FrameKey, &String)| {
+            let (FrameKey::Image(drive, frame) | FrameKey::Depth(drive, frame)) = *key;
+            BadFrame { drive: self.drives[drive].name.clone(), frame, problem: problem.clone() }
+        };
+        self.bad_frames_lock().iter().map(bad_frame).collect()
     }
 
     fn image(&self, drive: usize, frame: usize) -> Result<Arc<RgbImage>> {
@@ -183,10 +176,15 @@ impl PairReader {
         Ok(depth)
     }
 
-    fn note_bad_frame(&self, drive: usize, frame: usize, problem: &Error) -> Result<()> {
+    /// What was read, or `None` when it could not be: that is remembered, and too often an error.
+    fn unless_bad<T>(&self, key: FrameKey, read: Result<T>) -> Result<Option<T>> {
+        let problem = match read {
+            Ok(value) => return Ok(Some(value)),
+            Err(problem) => problem,
+        };
         let mut bad_frames = self.bad_frames_lock();
-        if bad_frames.insert((drive, frame), problem.to_string()).is_none() {
-            tracing::warn!("skipping {} frame {frame}: {problem}", self.drives[drive].name);
+        if bad_frames.insert(key, problem.to_string()).is_none() {
+            tracing::warn!("skipping a frame: {problem}");
         }
         if bad_frames.len() as f64 > self.max_bad_frames {
             return Err(Error::Data(format!(
@@ -195,10 +193,10 @@ impl PairReader {
                 self.max_bad_fraction
             )));
         }
-        Ok(())
+        Ok(None)
     }
 
-    fn bad_frames_lock(&self) -> MutexGuard<'_, BTreeMap<(usize, usize), String>> {
+    fn bad_frames_lock(&self) -> MutexGuard<'_, BTreeMap<FrameKey, String>> {
         self.bad_frames.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
     }
 }

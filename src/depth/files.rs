@@ -1,5 +1,6 @@
 //! Depth maps on disk: 16-bit PNG, metres x 256, 0 = unknown (KITTI's own format).
 
+use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 use image::{DynamicImage, ImageBuffer, ImageFormat, Luma};
@@ -7,6 +8,7 @@ use image::{DynamicImage, ImageBuffer, ImageFormat, Luma};
 use super::DepthMap;
 use crate::data::Drive;
 use crate::error::{Error, Place, Result};
+use crate::files::write_atomically;
 
 /// Steps of a metre in a depth PNG.
 const STEPS_PER_METRE: f32 = 256.0;
@@ -49,11 +51,9 @@ pub fn write_depth_png(path: &Path, map: &DepthMap) -> Result<()> {
     let pixels = map.depth_m.iter().map(step).collect();
     let image: ImageBuffer<Luma<u16>, Vec<u16>> =
         ImageBuffer::from_raw(map.width as u32, map.height as u32, pixels).expect("one value a pixel");
-    image.save_with_format(path, ImageFormat::Png).map_err(|error| Error::Io {
-        action: "write",
-        path: path.to_owned(),
-        source: std::io::Error::other(error),
-    })
+    let mut png = Cursor::new(Vec::new());
+    image.write_to(&mut png, ImageFormat::Png).expect("a 16-bit grey image is a PNG");
+    write_atomically(path, png.get_ref())
 }
 
 #[cfg(test)]

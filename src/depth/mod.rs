@@ -6,6 +6,7 @@ mod files;
 mod ground_plane;
 mod lidar;
 
+use std::ops::Range;
 use std::path::Path;
 
 pub use files::{read_depth_png, write_depth_png};
@@ -29,18 +30,42 @@ pub struct DepthMap {
 }
 
 impl DepthMap {
-    /// The map at another size, each pixel taking the depth nearest to its centre: depths of
-    /// different surfaces are never averaged.
+    /// The map at another size, each pixel taking the known depth nearest to its centre within its
+    /// footprint: depths of different surfaces are never averaged, sparse ones never lost.
     pub fn resized(&self, width: usize, height: usize) -> Self {
-        let nearest = |pixel: usize, from: usize, to: usize| {
-            let position = (pixel as f64 + 0.5) * from as f64 / to as f64;
-            (position as usize).min(from - 1)
-        };
-        let depth_m = (0..height)
-            .flat_map(|v| (0..width).map(move |u| (u, v)))
-            .map(|(u, v)| self.depth_m[nearest(v, self.height, height) * self.width + nearest(u, self.width, width)])
-            .collect();
+        let columns: Vec<Footprint> = (0..width).map(|u| Footprint::new(u, self.width, width)).collect();
+        let rows: Vec<Footprint> = (0..height).map(|v| Footprint::new(v, self.height, height)).collect();
+        let pixels = rows.iter().flat_map(|row| columns.iter().map(move |column| (row, column)));
+        let depth_m = pixels.map(|(row, column)| self.nearest_known(row, column)).collect();
         Self { width, height, depth_m }
+    }
+
+    fn nearest_known(&self, row: &Footprint, column: &Footprint) -> f32 {
+        let at = |v: usize, u: usize| self.depth_m[v * self.width + u];
+        let central = at(row.centre as usize, column.centre as usize);
+        if central > 0.0 {
+            return central;
+        }
+        let pixels = row.pixels.clone().flat_map(|v| column.pixels.clone().map(move |u| (v, u)));
+        let distance =
+            |&(v, u): &(usize, usize)| (v as f64 + 0.5 - row.centre).powi(2) + (u as f64 + 0.5 - column.centre).powi(2);
+        let known = pixels.filter(|&(v, u)| at(v, u) > 0.0);
+        known.min_by(|a, b| distance(a).total_cmp(&distance(b))).map_or(0.0, |(v, u)| at(v, u))
+    }
+}
+
+/// The source pixels that one target pixel covers along one axis.
+struct Footprint {
+    pixels: Range<usize>,
+    /// Centre of the target pixel, in source pixels from the edge.
+    centre: f64,
+}
+
+impl Footprint {
+    fn new(pixel: usize, from: usize, to: usize) -> Self {
+        let scale = from as f64 / to as f64;
+        let (first, end) = (pixel as f64 * scale, (pixel + 1) as f64 * scale);
+        Self { pixels: first as usize..(end.ceil() as usize).min(from), centre: 0.5 * (first + end) }
     }
 }
 
@@ -97,5 +122,13 @@ mod tests {
         let small = map.resized(2, 1);
         assert!(small.depth_m.iter().all(|depth| map.depth_m.contains(depth)));
         assert_eq!(map.resized(4, 2), map);
+    }
+
+    #[test]
+    fn resizing_keeps_the_returns_of_a_sparse_map() {
+        let mut depth_m = vec![0.0; 64];
+        depth_m[9] = 7.0;
+        let map = DepthMap { width: 8, height: 8, depth_m };
+        assert_eq!(map.resized(2, 2).depth_m, [7.0, 0.0, 0.0, 0.0]);
     }
 }

@@ -3,10 +3,12 @@
 use std::sync::Arc;
 
 use burn::tensor::{Device, Tensor};
+use burn::train::InferenceStep;
 
 use crate::config::TrainingConfig;
 use crate::data::{BatchLoader, Choice, PairId, PairReader, Split};
 use crate::error::{Error, Result};
+use crate::loss::LOG_VARIANCE_LIMIT;
 use crate::model::CovarianceModel;
 
 /// Outputs this close to their floor count as sitting on it, nats.
@@ -26,9 +28,12 @@ pub struct Prediction {
 }
 
 impl Prediction {
-    /// The loss of this pair (paper Eq. 7): `sum(d) + eᵀ diag(exp(−d)) e`.
+    /// The loss of this pair (paper Eq. 7): `sum(d) + eᵀ diag(exp(−d)) e`, d within the limits of
+    /// [`gaussian_loss`](crate::loss::gaussian_loss).
     pub fn loss(&self) -> f64 {
-        self.log_variance.iter().zip(self.error).map(|(d, e)| d + e * e * (-d).exp()).sum()
+        let limit = f64::from(LOG_VARIANCE_LIMIT);
+        let terms = self.log_variance.iter().zip(self.error).map(|(d, e)| (d.clamp(-limit, limit), e));
+        terms.map(|(d, e)| d + e * e * (-d).exp()).sum()
     }
 
     /// Diagonal of R, m² and rad².
@@ -69,7 +74,7 @@ pub fn predict_split(
     for _ in 0..batches {
         let batch = loader.next_batch()?;
         let Some(numbers) = batch.numbers else { continue };
-        let values = read_values(model.forward(&numbers.upload(device)))?;
+        let values = read_values(InferenceStep::step(model, numbers.upload(device)).log_variance)?;
         for (&pair, log_variance) in batch.pairs.iter().zip(values.chunks_exact(6)) {
             let pair = &pairs[pair];
             let log_variance: [f64; 6] = log_variance.try_into().expect("six outputs");

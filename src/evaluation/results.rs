@@ -44,12 +44,14 @@ impl MethodName {
 pub struct Evaluation {
     /// Version of this format.
     pub schema: u32,
+    /// How the error is formed.
+    pub error: String,
     /// Axes of every number.
     pub error_frame: ErrorFrame,
     /// Names of the components.
-    pub components: [&'static str; 6],
+    pub components: [String; 6],
     /// Their units.
-    pub units: [&'static str; 6],
+    pub units: [String; 6],
     /// Run folder.
     pub run: String,
     /// Split.
@@ -112,11 +114,13 @@ pub fn evaluate_run(
         }
         systems.push((name.clone(), SystemEvaluation { pairs: rows.len(), methods }));
     }
+    let Conventions { error, error_frame, components, units, .. } = manifest.conventions.clone();
     Ok(Evaluation {
         schema: SCHEMA,
-        error_frame: manifest.conventions.error_frame,
-        components: Conventions::COMPONENTS,
-        units: Conventions::UNITS,
+        error,
+        error_frame,
+        components,
+        units,
         run: run.display().to_string(),
         split: split.name(),
         device,

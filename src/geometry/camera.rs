@@ -48,11 +48,6 @@ impl Pinhole {
     pub fn backproject(&self, pixel: &Vector2<f64>, depth: f64) -> Vector3<f64> {
         depth * Vector3::new((pixel.x - self.cx) / self.fx, (pixel.y - self.cy) / self.fy, 1.0)
     }
-
-    /// Whether a pixel coordinate lies between the centres of the border pixels.
-    pub fn contains(&self, pixel: &Vector2<f64>) -> bool {
-        (0.0..=self.width as f64 - 1.0).contains(&pixel.x) && (0.0..=self.height as f64 - 1.0).contains(&pixel.y)
-    }
 }
 
 #[cfg(test)]

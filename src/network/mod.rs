@@ -109,9 +109,4 @@ impl CovarianceNetwork {
             activation.clone()
         })
     }
-
-    /// Whether its weights live on a device that records gradients.
-    pub fn is_training(&self) -> bool {
-        self.fc2.weight.device().is_autodiff()
-    }
 }

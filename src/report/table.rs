@@ -8,7 +8,7 @@ use crate::evaluation::{Evaluation, Metrics};
 pub fn mde_table(evaluation: &Evaluation) -> String {
     let mut table = Table::new();
     table.load_style(presets::ASCII_MARKDOWN);
-    let components = evaluation.components.iter().zip(evaluation.units).map(|(name, unit)| format!("{name} [{unit}]"));
+    let components = evaluation.components.iter().zip(&evaluation.units).map(|(name, unit)| format!("{name} [{unit}]"));
     let header = ["system", "method"].map(str::to_owned).into_iter().chain(components);
     table.set_header(header.chain(["NLL", "ANEES"].map(str::to_owned)));
     for (system, results) in &evaluation.systems {
@@ -23,11 +23,12 @@ pub fn mde_table(evaluation: &Evaluation) -> String {
         evaluation.systems.iter().map(|(name, results)| format!("{} {name}", results.pairs)).collect();
     let note = "MDE alone is an improper score (a prediction of zero can win it): read it with NLL (lower is better) and ANEES (1 is calibrated).";
     format!(
-        "MDE = median sqrt|R - e^2|, split {}, pairs: {}\nerror frame: {} ({}); e = log(measured * truth^-1)\n{table}\n{note}\n",
+        "MDE = median sqrt|R - e^2|, split {}, pairs: {}\nerror frame: {} ({}); e = {}\n{table}\n{note}\n",
         evaluation.split,
         pairs.join(", "),
         evaluation.error_frame.name(),
         evaluation.error_frame.axes(),
+        evaluation.error,
     )
 }
 
@@ -41,17 +42,36 @@ fn three_digits(value: f64) -> String {
     if value == 0.0 {
         return "0".to_owned();
     }
-    let exponent = value.abs().log10().floor() as i32;
-    if (-3..3).contains(&exponent) {
-        format!("{value:.*}", (2 - exponent).max(0) as usize)
-    } else {
-        format!("{value:.2e}")
-    }
+    // Of the rounded value: 0.009996 is 0.0100.
+    let scientific = format!("{value:.2e}");
+    let exponent: i32 = scientific.rsplit('e').next().and_then(|exponent| exponent.parse().ok()).unwrap_or(0);
+    if (-3..3).contains(&exponent) { format!("{value:.*}", (2 - exponent).max(0) as usize) } else { scientific }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_table_states_split_frame_units_and_baselines() {
+        let errors = [[0.04, -0.01, 0.02, 1e-3, -2e-4, 5e-6], [-0.02, 0.01, 0.0, 0.0, 3e-4, -4e-6]];
+        let metrics = |variance: f64| crate::evaluation::evaluate(&[[variance; 6]; 2], &errors).unwrap();
+        let system = |methods| crate::evaluation::SystemEvaluation { pairs: 2, methods };
+        let conventions = crate::geometry::Conventions::new(crate::geometry::ErrorFrame::Vehicle);
+        let evaluation = Evaluation {
+            schema: 1,
+            error: conventions.error,
+            error_frame: conventions.error_frame,
+            components: conventions.components,
+            units: conventions.units,
+            run: "run".to_owned(),
+            split: "test",
+            device: "flex".to_owned(),
+            unreadable_frames: Vec::new(),
+            systems: vec![("vo".to_owned(), system(vec![("relcov", metrics(1e-4)), ("zero", metrics(0.0))]))],
+        };
+        insta::assert_snapshot!(mde_table(&evaluation));
+    }
 
     #[test]
     fn numbers_have_three_significant_digits() {
@@ -61,6 +81,7 @@ mod tests {
             (0.00123, "0.00123"),
             (2.76e-6, "2.76e-6"),
             (12.34, "12.3"),
+            (0.009996, "0.0100"),
             (4e-4, "4.00e-4"),
         ] {
             assert_eq!(three_digits(value), text);

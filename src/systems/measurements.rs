@@ -64,7 +64,7 @@ pub fn load_measurements(
         },
         SystemSource::Relative(config) => {
             let path = expand(&config.path, drive, root);
-            if !path.is_file() {
+            if !path.exists() {
                 return Ok(missing(config.frame, path));
             }
             let poses = parse_relative_poses(&read_text(&path)?, &path)?;
@@ -78,7 +78,7 @@ pub fn load_measurements(
 
 fn load_trajectory(config: &TrajectoryConfig, drive: &Drive, root: &Path) -> Result<Option<Trajectory>> {
     let path = expand(&config.path, drive, root);
-    if !path.is_file() {
+    if !path.exists() {
         return Ok(None);
     }
     let text = read_text(&path)?;

@@ -27,7 +27,7 @@ pub struct RelativePose {
     pub covariance: Option<Covariance6>,
 }
 
-/// Parses a CSV of relative poses; a header line is passed over.
+/// Parses a CSV of relative poses; a header line that begins with `source` is passed over.
 ///
 /// # Errors
 /// Wrong count, numbers that are not finite, a quaternion far from unit length, a covariance that
@@ -35,8 +35,7 @@ pub struct RelativePose {
 pub fn parse_relative_poses(text: &str, path: &Path) -> Result<Vec<RelativePose>> {
     let mut poses: Vec<RelativePose> = Vec::new();
     for (index, line) in text.lines().enumerate() {
-        let first = line.split(',').next().unwrap_or("").trim();
-        let header = index == 0 && first.parse::<f64>().is_err();
+        let header = index == 0 && line.trim_start().starts_with("source");
         if line.trim().is_empty() || header {
             continue;
         }

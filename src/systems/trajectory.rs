@@ -35,7 +35,11 @@ pub fn parse_kitti_trajectory(text: &str, path: &Path, first_frame: usize) -> Re
         if !matches!(values.len(), 12 | 13) || values.len() != expected_columns {
             return Err(malformed(
                 format!("{} numbers", values.len()),
-                "12 (a 3x4 pose), or 13 with a leading frame index, the same in every row",
+                match columns {
+                    Some(12) => "12 as in the rows before (a 3x4 pose)",
+                    Some(13) => "13 as in the rows before (a frame index and a 3x4 pose)",
+                    _ => "12 (a 3x4 pose), or 13 with a leading frame index",
+                },
             ));
         }
         let (frame, matrix) = match values.len() {
@@ -60,7 +64,7 @@ pub fn parse_kitti_trajectory(text: &str, path: &Path, first_frame: usize) -> Re
 
 /// Parses TUM rows `t x y z qx qy qz qw` and matches them to frames by time.
 ///
-/// A row belongs to the frame nearest in time, within `tolerance_s`; other rows are left out.
+/// A frame takes the row nearest in time, within `tolerance_s`; other rows are left out.
 ///
 /// # Errors
 /// Wrong count, numbers that are not finite, a quaternion far from unit length, times that do not
@@ -73,7 +77,8 @@ pub fn parse_tum_trajectory(
 ) -> Result<Trajectory> {
     let mut frames: Vec<(f64, usize)> = frame_times_s.iter().map(|(&frame, &time)| (time, frame)).collect();
     frames.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let mut trajectory = Trajectory::new();
+    // For each frame the offset of its nearest row, and that row's pose.
+    let mut nearest_rows: BTreeMap<usize, (f64, Pose)> = BTreeMap::new();
     let mut last_time = f64::NEG_INFINITY;
     let mut rows = 0;
     for (index, line) in text.lines().enumerate() {
@@ -95,13 +100,15 @@ pub fn parse_tum_trajectory(
         let nearest = frames[after.saturating_sub(1)..frames.len().min(after + 1)]
             .iter()
             .min_by(|a, b| (a.0 - time).abs().total_cmp(&(b.0 - time).abs()));
-        if let Some(&(frame_time, frame)) = nearest
-            && (frame_time - time).abs() <= tolerance_s
-        {
-            trajectory.insert(frame, pose);
+        if let Some(&(frame_time, frame)) = nearest {
+            let offset = (frame_time - time).abs();
+            let known = nearest_rows.get(&frame).map_or(tolerance_s, |&(offset, _)| offset);
+            if offset <= known {
+                nearest_rows.insert(frame, (offset, pose));
+            }
         }
     }
-    if rows > 0 && trajectory.is_empty() {
+    if rows > 0 && nearest_rows.is_empty() {
         return Err(Error::malformed(
             path,
             Place::Whole,
@@ -109,7 +116,7 @@ pub fn parse_tum_trajectory(
             "times in seconds since 1970, as in the drive's timestamps.txt",
         ));
     }
-    Ok(trajectory)
+    Ok(nearest_rows.into_iter().map(|(frame, (_, pose))| (frame, pose)).collect())
 }
 
 /// A frame index written among numbers.
@@ -193,10 +200,10 @@ mod tests {
     #[test]
     fn tum_rows_find_their_frames_by_time() {
         let frames = BTreeMap::from([(10, 100.0), (11, 100.1), (12, 100.2)]);
-        let text =
-            "# t x y z qx qy qz qw\n99.0 0 0 0 0 0 0 1\n100.004 1 0 0 0 0 0 1\n100.195 2 0 0 0 0 0.7071068 0.7071068\n";
+        let text = "# t x y z qx qy qz qw\n99.0 0 0 0 0 0 0 1\n100.004 1 0 0 0 0 0 1\n100.014 7 0 0 0 0 0 1\n100.195 2 0 0 0 0 0.7071068 0.7071068\n";
         let trajectory = parse_tum_trajectory(text, Path::new("t"), &frames, 0.02).unwrap();
         assert_eq!(trajectory.keys().copied().collect::<Vec<_>>(), [10, 12]);
+        assert_eq!(trajectory[&10].translation.x, 1.0);
         assert_relative_eq!(trajectory[&12].log()[5], std::f64::consts::FRAC_PI_2, epsilon = 1e-6);
         let far = BTreeMap::from([(0, 0.0)]);
         assert!(

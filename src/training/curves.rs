@@ -21,7 +21,7 @@ pub fn loss_curves(history: &History, systems: &[String]) -> Option<String> {
                 (format!("{name}, evaluation"), true, history.evaluation_losses(index)),
             ]
         })
-        .filter(|(_, _, losses)| !losses.is_empty())
+        .filter(|(_, _, losses)| losses.iter().any(|loss| loss.is_finite()))
         .collect();
     let finite = || curves.iter().flat_map(|(_, _, losses)| losses.iter().copied()).filter(|loss| loss.is_finite());
     let (low, high) = (finite().reduce(f64::min)?, finite().reduce(f64::max)?);
@@ -76,4 +76,27 @@ fn draw(
         .draw()?;
     root.present()?;
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn curves_show_every_system_once_there_is_an_epoch() {
+        let systems = ["vo".to_owned(), "gnss".to_owned()];
+        let mut history = History::new(2);
+        assert!(loss_curves(&history, &systems).is_none());
+        for epoch in 1..4 {
+            history.batches = epoch;
+            history.seconds = 1.0;
+            (0..2).for_each(|system| history.add(system, -(epoch as f64)));
+            history.finish_epoch(vec![Some(-1.0), None], 0.0);
+        }
+        let svg = loss_curves(&history, &systems).unwrap();
+        for label in ["vo, training", "vo, evaluation", "gnss, training"] {
+            assert!(svg.contains(label), "{label}");
+        }
+        assert!(!svg.contains("gnss, evaluation"), "a curve without values has no label");
+    }
 }

@@ -42,9 +42,9 @@ impl History {
         self.rows.iter().map(|row| row.training_loss[system]).collect()
     }
 
-    /// Evaluation losses of one system, an epoch each.
+    /// Evaluation losses of one system, an epoch each; NaN for an epoch without any.
     pub fn evaluation_losses(&self, system: usize) -> Vec<f64> {
-        self.rows.iter().filter_map(|row| row.evaluation_loss[system]).collect()
+        self.rows.iter().map(|row| row.evaluation_loss[system].unwrap_or(f64::NAN)).collect()
     }
 
     /// Adds a pair's loss to the epoch under way.

@@ -21,7 +21,7 @@ use super::manifest::Manifest;
 use super::run_folder::RunFolder;
 use super::setup::{constant_loss, describe, watched_split, watched_system};
 use crate::config::Config;
-use crate::data::{BatchLoader, Choice, Dataset, LoadedBatch, PairReader, SplitName};
+use crate::data::{BadFrame, BatchLoader, Choice, Dataset, LoadedBatch, PairReader, SplitName};
 use crate::error::{Error, Result};
 use crate::evaluation::{Prediction, mean_loss, predict_split, read_values, share_at_floor};
 use crate::model::{Architecture, CovarianceModel, MicroBatch};
@@ -91,6 +91,7 @@ pub struct Learner {
     config: Config,
     dataset: Arc<Dataset>,
     reader: Arc<PairReader>,
+    watched_reader: Arc<PairReader>,
     device: Device,
     architecture: Architecture,
     run: RunFolder,
@@ -121,18 +122,21 @@ impl Learner {
     pub fn resume(config: Config, dataset: Arc<Dataset>, device: &Device, run: RunFolder) -> Result<Self> {
         dataset.require(SplitName::Train)?;
         let manifest = run.manifest()?;
-        let now = describe(&config, &dataset, device);
-        if manifest.data_fingerprint != now.data_fingerprint {
+        if manifest.experiment_fingerprint != config.experiment_fingerprint() {
+            return Err(Error::run(
+                run.path(),
+                "was started with other settings; a resumed run may change its device, data.root, training.epochs, stop, watch, watch_system, learning_rate, micro_batch, loader_threads and prefetch; start a new run for others",
+            ));
+        }
+        if manifest.data_fingerprint != dataset.fingerprint() {
             return Err(Error::run(
                 run.path(),
                 "was started with other data (pairs or errors differ); give it the same data, or start a new run",
             ));
         }
-        if manifest.architecture != now.architecture || manifest.seed != now.seed {
-            return Err(Error::run(run.path(), "was started with another model or seed; start a new run for those"));
-        }
         let mut learner = Self::new(config, dataset, &manifest, device, |_| Ok(run))?;
-        let (model, optimiser, history) = learner.run.load_state(learner.model, learner.optimiser)?;
+        let (model, optimiser, history) =
+            learner.run.load_state(learner.model, learner.optimiser, learner.config.systems.len())?;
         (learner.model, learner.optimiser, learner.history) = (model, optimiser, history);
         learner.run.write_description(&learner.config, &manifest)?;
         Ok(learner)
@@ -155,7 +159,8 @@ impl Learner {
         let model = manifest.architecture.init(manifest.initial_log_variance, &device.clone().autodiff());
         let optimiser = AdamConfig::new().with_epsilon(ADAM_EPSILON).init();
         Ok(Self {
-            reader: Arc::new(PairReader::new(&config, &dataset)),
+            reader: Arc::new(PairReader::new(&config, &dataset, SplitName::Train)),
+            watched_reader: Arc::new(PairReader::new(&config, &dataset, watched)),
             constant_loss: constant_loss(&dataset, watched, manifest),
             device: device.clone(),
             history: History::new(config.systems.len()),
@@ -179,9 +184,11 @@ impl Learner {
         &self.run
     }
 
-    /// Reader of the pairs, which knows the bad frames.
-    pub fn reader(&self) -> &Arc<PairReader> {
-        &self.reader
+    /// Frames that could not be read so far, of the training pairs and the watched ones.
+    pub fn bad_frames(&self) -> Vec<BadFrame> {
+        let mut bad_frames = self.reader.bad_frames();
+        bad_frames.extend(self.watched_reader.bad_frames());
+        bad_frames
     }
 
     /// Mini-batches in an epoch.
@@ -269,7 +276,7 @@ impl Learner {
         let mean = losses.iter().sum::<f64>() / size as f64;
         if !mean.is_finite() {
             return Err(Error::Training(format!(
-                "the loss of mini-batch {} is {mean}; the last saved state is kept. Lower training.learning_rate or set model.min_log_variance, then --resume",
+                "the loss of mini-batch {} is {mean}; the last saved state is kept. Go on from it with --resume and a lower --set training.learning_rate=…, or start a new run with model.min_log_variance",
                 batch + 1
             )));
         }
@@ -288,6 +295,13 @@ impl Learner {
         let floor = self.architecture.log_variance_floor;
         let at_floor = floor.map_or(0.0, |floor| share_at_floor(&predictions, &floor));
         let systems = self.config.systems.len();
+        if mean_loss(&predictions, watched_system(&self.config)).is_none() {
+            let first = self.watched_reader.bad_frames().swap_remove(0);
+            return Err(Error::Data(format!(
+                "not one watched pair can be read; {} frame {}: {}",
+                first.drive, first.frame, first.problem
+            )));
+        }
         self.history.finish_epoch((0..systems).map(|system| mean_loss(&predictions, system)).collect(), at_floor);
 
         let watched = self.history.evaluation_losses(watched_system(&self.config));
@@ -307,7 +321,7 @@ impl Learner {
         let mut unless_interrupted = |_| self.stop_if_interrupted();
         predict_split(
             &self.model.valid(),
-            &self.reader,
+            &self.watched_reader,
             split,
             &self.config.training,
             &self.device,

@@ -8,7 +8,7 @@ use crate::model::Architecture;
 /// Version of the run folder's layout.
 pub(super) const LAYOUT: u32 = 1;
 /// The pinned version of Burn, whose records the state files are.
-const BURN_VERSION: &str = "0.22.1";
+pub(super) const BURN_VERSION: &str = "0.22.1";
 
 /// What a stored model depends on.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -35,6 +35,8 @@ pub struct Manifest {
     pub systems: Vec<SystemSummary>,
     /// Hash of all pairs and errors.
     pub data_fingerprint: String,
+    /// Hash of every setting that a resumed run must share.
+    pub experiment_fingerprint: String,
 }
 
 /// A system as the training set shows it.
@@ -48,31 +50,4 @@ pub struct SystemSummary {
     pub training_pairs: usize,
     /// Mean e² over them, m² and rad²: the constant baseline.
     pub mean_squared_error: [f64; 6],
-}
-
-impl Manifest {
-    /// A manifest by this program, now.
-    pub fn new(
-        device: String,
-        seed: u64,
-        conventions: Conventions,
-        architecture: Architecture,
-        initial_log_variance: [f64; 6],
-        systems: Vec<SystemSummary>,
-        data_fingerprint: String,
-    ) -> Self {
-        Self {
-            layout: LAYOUT,
-            relcov_version: env!("CARGO_PKG_VERSION").to_owned(),
-            git_commit: option_env!("RELCOV_GIT_COMMIT").map(str::to_owned),
-            burn_version: BURN_VERSION.to_owned(),
-            device,
-            seed,
-            conventions,
-            architecture,
-            initial_log_variance,
-            systems,
-            data_fingerprint,
-        }
-    }
 }

@@ -24,7 +24,7 @@ use super::history::History;
 use super::manifest::{LAYOUT, Manifest};
 use crate::config::Config;
 use crate::error::{Error, Place, Result};
-use crate::files::{make_readable, read_text, write_atomically};
+use crate::files::{put_in_place, read_text, write_atomically};
 use crate::geometry::Conventions;
 use crate::model::{Architecture, CovarianceModel};
 
@@ -37,6 +37,10 @@ const STATE_PREFIX: &str = "state-";
 const STATE_MODEL: &str = "model.bpk";
 const STATE_OPTIMISER: &str = "optimiser.bpk";
 const STATE_HISTORY: &str = "history.json";
+/// Tensors Adam keeps for each weight: first and second moment.
+const ADAM_MOMENTS: usize = 2;
+/// What an evaluation leaves in the folder.
+const RESULTS: [&str; 2] = ["evaluation.json", "pairs.csv"];
 
 /// A run folder on disk.
 #[derive(Clone, Debug)]
@@ -143,10 +147,9 @@ impl RunFolder {
         let mut store = SafetensorsStore::from_file(&temporary).overwrite(true);
         model.save_into(&mut store).map_err(|error| {
             let _ = std::fs::remove_file(&temporary);
-            Error::Io { action: "write", path: path.clone(), source: std::io::Error::other(error.to_string()) }
+            Error::Io { action: "write", path: path.clone(), reason: std::io::Error::other(error.to_string()) }
         })?;
-        make_readable(&temporary);
-        std::fs::rename(&temporary, &path).map_err(Error::io("rename into place", &path))
+        put_in_place(&temporary, &path)
     }
 
     /// Loads the best model onto a device.
@@ -189,18 +192,19 @@ impl RunFolder {
         history: &History,
         systems: &[String],
     ) -> Result<()> {
-        let name = format!("{STATE_PREFIX}{:09}", history.batches);
+        // Mini-batches and finished epochs say all there is to know: a state of that name is this one.
+        let name = format!("{STATE_PREFIX}{:09}-{:05}", history.batches, history.rows.len());
         let folder = self.path.join(&name);
-        let temporary = self.temporary(&name);
-        let written = self.write_state(&temporary, model, optimiser, history).and_then(|()| {
-            if folder.exists() {
-                std::fs::remove_dir_all(&folder).map_err(Error::io("remove", &folder))?;
+        if !folder.exists() {
+            let temporary = self.temporary(&name);
+            let written = self.write_state(&temporary, model, optimiser, history);
+            let written = written
+                .and_then(|()| std::fs::rename(&temporary, &folder).map_err(Error::io("rename into place", &folder)));
+            if let Err(error) = written {
+                let _ = std::fs::remove_dir_all(&temporary);
+                return Err(error);
             }
-            std::fs::rename(&temporary, &folder).map_err(Error::io("rename into place", &folder))
-        });
-        if let Err(error) = written {
-            let _ = std::fs::remove_dir_all(&temporary);
-            return Err(error);
+            tracing::debug!("saved {}", folder.display());
         }
         write_atomically(&self.path.join(METRICS), history.to_csv(systems).as_bytes())?;
         if let Some(svg) = loss_curves(history, systems) {
@@ -220,6 +224,7 @@ impl RunFolder {
         &self,
         model: CovarianceModel,
         optimiser: ModuleOptimizer,
+        systems: usize,
     ) -> Result<(CovarianceModel, ModuleOptimizer, History)> {
         let Some(folder) = self.states()?.pop() else {
             return Err(Error::run(
@@ -238,10 +243,18 @@ impl RunFolder {
         let path = folder.join(STATE_HISTORY);
         let history: History =
             serde_json::from_str(&read_text(&path)?).map_err(|error| damaged(STATE_HISTORY, &error))?;
+        if history.sums.len() != systems || history.rows.iter().any(|row| row.training_loss.len() != systems) {
+            return Err(damaged(STATE_HISTORY, &"losses of another number of systems"));
+        }
         let record = ModuleRecord::load(folder.join(STATE_MODEL)).map_err(|error| damaged(STATE_MODEL, &error))?;
+        let weights = record.len();
         let model = model.try_load_record(record).map_err(|error| damaged(STATE_MODEL, &error))?;
         let record =
             OptimizerRecord::load(folder.join(STATE_OPTIMISER)).map_err(|error| damaged(STATE_OPTIMISER, &error))?;
+        if record.len() != ADAM_MOMENTS * weights {
+            let found = format!("{} tensors for {weights} weights", record.len());
+            return Err(damaged(STATE_OPTIMISER, &found));
+        }
         Ok((model, optimiser.load_record(record), history))
     }
 
@@ -261,7 +274,7 @@ impl RunFolder {
             move |error: burn::store::RecordError| Error::Io {
                 action: "write",
                 path,
-                source: std::io::Error::other(error.to_string()),
+                reason: std::io::Error::other(error.to_string()),
             }
         };
         model.clone().into_record().save(folder.join(STATE_MODEL)).map_err(failed(STATE_MODEL))?;
@@ -275,7 +288,11 @@ impl RunFolder {
         let entries = std::fs::read_dir(&self.path).map_err(Error::io("list", &self.path))?;
         let mut states: Vec<PathBuf> = entries
             .filter_map(|entry| Some(entry.ok()?.path()))
-            .filter(|path| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(STATE_PREFIX)))
+            .filter(|path| {
+                let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+                let numbers = name.strip_prefix(STATE_PREFIX).unwrap_or("-");
+                path.is_dir() && numbers.split('-').all(|number| number.parse::<usize>().is_ok())
+            })
             .collect();
         states.sort();
         Ok(states)
@@ -287,7 +304,7 @@ impl RunFolder {
 
     /// Removes what a run wrote, and nothing else.
     fn clear(&self) -> Result<()> {
-        for file in [MANIFEST, CONFIG, METRICS, LOSSES, MODEL] {
+        for file in [MANIFEST, CONFIG, METRICS, LOSSES, MODEL].into_iter().chain(RESULTS) {
             let path = self.path.join(file);
             if path.exists() {
                 std::fs::remove_file(&path).map_err(Error::io("remove", &path))?;

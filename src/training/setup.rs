@@ -2,16 +2,17 @@
 
 use burn::tensor::Device;
 
-use super::manifest::{Manifest, SystemSummary};
+use super::manifest::{BURN_VERSION, LAYOUT, Manifest, SystemSummary};
 use crate::config::{Config, MinLogVariance, WatchedSplit};
 use crate::data::{Dataset, SplitName};
 use crate::device::device_name;
-use crate::evaluation::Prediction;
+use crate::evaluation::{Prediction, mean_loss};
 use crate::geometry::Conventions;
 use crate::model::Architecture;
 
-/// Least variance an initial log-variance stands for: that of a system without any error, ln m² or ln rad².
+/// Least variance an initial log-variance stands for: that of a system without any error, m² or rad².
 const LEAST_MEAN_SQUARED_ERROR: f64 = 1e-16;
+
 /// The model's shape: configuration plus the floor, which depends on the training errors.
 fn architecture(config: &Config, dataset: &Dataset) -> Architecture {
     let mean = initial_log_variance(config, dataset);
@@ -46,15 +47,20 @@ pub(super) fn describe(config: &Config, dataset: &Dataset, device: &Device) -> M
         training_pairs: dataset.train.systems[index].len(),
         mean_squared_error: dataset.train.mean_squared_error(index).into(),
     });
-    Manifest::new(
-        device_name(device),
-        config.seed,
-        Conventions::new(config.data.error_frame),
-        architecture(config, dataset),
-        initial_log_variance(config, dataset),
-        systems.collect(),
-        dataset.fingerprint(),
-    )
+    Manifest {
+        layout: LAYOUT,
+        relcov_version: env!("CARGO_PKG_VERSION").to_owned(),
+        git_commit: option_env!("RELCOV_GIT_COMMIT").map(str::to_owned),
+        burn_version: BURN_VERSION.to_owned(),
+        device: device_name(device),
+        seed: config.seed,
+        conventions: Conventions::new(config.data.error_frame),
+        architecture: architecture(config, dataset),
+        initial_log_variance: initial_log_variance(config, dataset),
+        systems: systems.collect(),
+        data_fingerprint: dataset.fingerprint(),
+        experiment_fingerprint: config.experiment_fingerprint(),
+    }
 }
 
 /// Loss of the constant predictor of each system on the watched split.
@@ -64,15 +70,15 @@ pub(super) fn constant_loss(dataset: &Dataset, watched: SplitName, manifest: &Ma
         .systems
         .iter()
         .zip(&split.systems)
-        .map(|(system, range)| {
-            let usable = !range.is_empty() && system.mean_squared_error.iter().all(|&value| value > 0.0);
-            usable.then(|| {
-                let log_variance = system.mean_squared_error.map(f64::ln);
-                let losses = split.pairs[range.clone()].iter().map(|pair| {
-                    Prediction { pair: pair.id, system: pair.system, error: pair.error.into(), log_variance }.loss()
-                });
-                losses.sum::<f64>() / range.len() as f64
-            })
+        .enumerate()
+        .map(|(index, (system, range))| {
+            let usable = system.mean_squared_error.iter().all(|&value| value > 0.0);
+            let log_variance = system.mean_squared_error.map(f64::ln);
+            let constant: Vec<Prediction> = split.pairs[range.clone()]
+                .iter()
+                .map(|pair| Prediction { pair: pair.id, system: pair.system, error: pair.error.into(), log_variance })
+                .collect();
+            mean_loss(&constant, index).filter(|_| usable)
         })
         .collect()
 }

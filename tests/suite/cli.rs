@@ -188,7 +188,7 @@ fn bad_input_is_named_and_exits_with_1() {
     let calibration = "data/2020_01_01/calib_cam_to_cam.txt";
     let odometry = "vo/2020_01_01_drive_0001.txt";
     type Case<'a> = (&'a str, &'a dyn Fn(&Made), &'a [&'a str]);
-    let cases: [Case; 9] = [
+    let cases: [Case; 12] = [
         (
             "missing file",
             &|made| std::fs::remove_file(made.path(calibration)).unwrap(),
@@ -220,6 +220,17 @@ fn bad_input_is_named_and_exits_with_1() {
             "word in pose",
             &|made| edit_file(&made.path("data").join(odometry), |text| text.replacen("1.000", "one", 1)),
             &["line 1", "finite number"],
+        ),
+        (
+            "twin frames",
+            &|made| std::fs::write(made.drive("image_02/data/3.png"), "").unwrap(),
+            &["a second file of frame 3"],
+        ),
+        ("twin keys", &|made| edit(&made.path(calibration), "R_rect_00", "S_rect_02"), &["line 3", "again"]),
+        (
+            "huge frame",
+            &|made| std::fs::write(made.drive("oxts/data/18446744073709551615.txt"), "").unwrap(),
+            &["frame index 18446744073709551615"],
         ),
         (
             "drive name",
@@ -264,6 +275,11 @@ fn a_configuration_error_names_its_key() {
         ("systems.0.pth=x", &["pth"]),
         ("nonsense", &["key=value"]),
         ("training.watch_system=radar", &["radar"]),
+        ("depth.camera_height_m=-1", &["depth.camera_height_m"]),
+        ("training.prefetch=100000000000", &["training.prefetch", "1024"]),
+        ("systems.0.name=a,b", &["systems.0.name", "column"]),
+        ("systems.7.share=1", &["list of 2"]),
+        ("device=flex:", &["flex:"]),
         ("device=tpu", &["tpu", "auto | flex"]),
     ] {
         let output = made.train(&[setting]).assert().code(1).get_output().clone();
@@ -322,6 +338,26 @@ fn a_damaged_run_folder_is_explained() {
 }
 
 #[test]
+fn a_source_override_comes_before_its_keys() {
+    let made = Made::new();
+    made.train(&["depth.fill_radius_px=3", "depth.source=lidar", "training.epochs=1"])
+        .assert()
+        .code(1)
+        .stderr(contains("0 of those with depth"));
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_full_stderr_costs_no_run() {
+    let made = Made::new();
+    let program = assert_cmd::cargo::cargo_bin("relcov");
+    let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+    let mut command = std::process::Command::new(program);
+    command.arg("train").arg("--config").arg(&made.config).stderr(full).stdout(std::process::Stdio::null());
+    assert_eq!(command.status().unwrap().code(), Some(0));
+}
+
+#[test]
 fn an_unreadable_test_frame_is_left_out_and_counted() {
     let made = Made::new();
     made.train(&["training.epochs=1"]).assert().success();
@@ -332,6 +368,8 @@ fn an_unreadable_test_frame_is_left_out_and_counted() {
         command.arg("eval").arg("--run").arg(&run).arg("--set").arg(format!("data.max_bad_fraction={limit}"));
         command
     };
+    made.train(&["name=other", "data.test=[]"]).assert().code(1);
+    assert!(!made.path("runs/other").exists(), "an empty test split is found before training");
     eval("0.5").assert().success().stderr(contains("0000000023.png")).stdout(contains("2 vo"));
     eval("0.01").assert().code(1).stderr(contains("max_bad_fraction"));
 }

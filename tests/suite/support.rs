@@ -117,7 +117,8 @@ fn noisy_step(frame: usize) -> Pose {
 
 fn write_calibration(date: &Path) {
     let (width, height) = SIZE;
-    let projection = format!("60 0 {} 0 0 60 {} 0 0 0 1 0", width as f64 / 2.0, height as f64 / 2.0);
+    // Camera 2 looks from 5 cm to the right of camera 0: P = K [I | (−0.05, 0, 0)].
+    let projection = format!("60 0 {} -3 0 60 {} 0 0 0 1 0", width as f64 / 2.0, height as f64 / 2.0);
     let camera = format!(
         "calib_time: 01-Jan-2020 00:00:00\nR_rect_00: 1 0 0 0 1 0 0 0 1\nS_rect_02: {width} {height}\nP_rect_02: {projection}\n"
     );
