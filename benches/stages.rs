@@ -98,6 +98,10 @@ fn training_step(criterion: &mut Criterion) {
             },
         );
     }
+    group.finish();
+
+    let mut group = criterion.benchmark_group("adam");
+    group.sample_size(10);
     let batch = batch(14, size, &device);
     let gradients = || {
         let mut sum = GradientsAccumulator::new();
@@ -105,7 +109,7 @@ fn training_step(criterion: &mut Criterion) {
         sum.grads()
     };
     let mut prepared: Vec<_> = (0..12).map(|_| gradients()).collect();
-    group.bench_function("adam", |bencher| {
+    group.bench_function("all weights at 320x96", |bencher| {
         bencher.iter_batched(
             || prepared.pop().unwrap_or_else(&gradients),
             |gradients| black_box(optimiser.step(1e-4, model.clone(), gradients)),

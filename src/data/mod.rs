@@ -11,6 +11,7 @@ mod drive;
 mod image;
 mod loader;
 mod oxts;
+mod pairing;
 mod reader;
 
 pub use self::image::{RgbImage, read_image};

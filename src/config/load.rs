@@ -1,0 +1,81 @@
+//! Loads an experiment, and what follows from it.
+
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+
+use super::{Config, DATA_ROOT_VARIABLE, DataConfig, TrainingConfig, default_cache_mb, default_checkpoints};
+use super::{default_device, default_max_bad_fraction, overrides};
+use crate::error::{Error, Place, Result};
+use crate::files::{read_text, sha256_hex};
+
+impl Config {
+    /// Reads a configuration file and applies `key=value` overrides.
+    ///
+    /// # Errors
+    /// The file cannot be read, is not TOML, holds an unknown key or an unusable value; the message
+    /// names the line or key.
+    pub fn load(path: &Path, overrides: &[String]) -> Result<Self> {
+        let text = read_text(path)?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let data_root = std::env::var_os(DATA_ROOT_VARIABLE).map(PathBuf::from);
+        let table = overrides::merge(&text, path, folder, data_root.as_deref(), overrides)?;
+        let config = Self::deserialize(table).map_err(|error| {
+            let expected = "a relcov configuration (README.md, \"Configuration\")";
+            let place = Place::Whole;
+            // The text knows its lines; the merged table only its keys.
+            match toml::from_str::<Self>(&text) {
+                Err(in_text) if overrides.is_empty() && data_root.is_none() => {
+                    Error::malformed(path, place, in_text.to_string().trim_end(), expected)
+                }
+                _ => Error::malformed(
+                    path,
+                    place,
+                    format!("with its overrides, {}", error.to_string().trim_end()),
+                    expected,
+                ),
+            }
+        })?;
+        config.validate()?;
+        Ok(config)
+    }
+
+    /// Folder of this experiment's run.
+    pub fn run_folder(&self) -> PathBuf {
+        self.checkpoints.join(&self.name)
+    }
+
+    /// The whole configuration, defaults included, as TOML.
+    pub fn to_toml(&self) -> String {
+        toml::to_string_pretty(self).expect("a configuration is TOML")
+    }
+
+    /// A hash of everything that must stay the same when a run is resumed: all but its place, its
+    /// device, and how long, fast and patiently it trains.
+    pub fn experiment_fingerprint(&self) -> String {
+        let defaults = TrainingConfig::default();
+        let experiment = Self {
+            name: String::new(),
+            checkpoints: default_checkpoints(),
+            device: default_device(),
+            data: DataConfig {
+                root: PathBuf::new(),
+                max_bad_fraction: default_max_bad_fraction(),
+                cache_mb: default_cache_mb(),
+                ..self.data.clone()
+            },
+            training: TrainingConfig {
+                batch: self.training.batch,
+                batches_per_epoch: self.training.batches_per_epoch,
+                ..defaults
+            },
+            ..self.clone()
+        };
+        sha256_hex(experiment.to_toml().as_bytes())
+    }
+
+    /// Exact number of pairs of each system in a mini-batch.
+    pub fn pairs_per_batch(&self) -> Vec<usize> {
+        self.systems.iter().map(|system| (system.share * self.training.batch as f64).round() as usize).collect()
+    }
+}

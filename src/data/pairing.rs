@@ -1,0 +1,152 @@
+//! Joins measured poses, true poses and images of a drive into pairs with their errors.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use super::dataset::{Coverage, Pair, PairId, PairScope, SplitName};
+use super::drive::Drive;
+use crate::config::{Config, DriveConfig, MeasurementFrame};
+use crate::depth::has_depth;
+use crate::error::{Error, Result};
+use crate::geometry::{ErrorFrame, Pose, Tangent};
+use crate::systems::{Measurements, Trajectory, load_measurements, load_true_poses};
+
+/// Joins drive after drive; each is read once, however many splits name it.
+pub(super) struct Pairing<'a> {
+    config: &'a Config,
+    scope: PairScope,
+    drives: Vec<Drive>,
+    /// For each drive: the truth and each system's measurements.
+    sources: Vec<(Trajectory, Vec<Measurements>)>,
+}
+
+impl<'a> Pairing<'a> {
+    pub(super) fn new(config: &'a Config, scope: PairScope) -> Self {
+        Self { config, scope, drives: Vec::new(), sources: Vec::new() }
+    }
+
+    /// The drives seen so far.
+    pub(super) fn into_drives(self) -> Vec<Drive> {
+        self.drives
+    }
+
+    /// The pairs a drive, or a part of it, gives to a split.
+    ///
+    /// # Errors
+    /// The drive, its calibration or a measurement file is missing or malformed, or too many packets
+    /// are unreadable.
+    pub(super) fn pair_drive(&mut self, split: SplitName, wanted: &DriveConfig) -> Result<(Coverage, Vec<Pair>)> {
+        let index = self.drive_index(&wanted.drive)?;
+        let drive = &self.drives[index];
+        let (true_poses, systems) = &self.sources[index];
+        let root = &self.config.data.root;
+        let wanted_frame = |frame: usize| wanted.frames.is_none_or(|[first, end]| (first..end).contains(&frame));
+        let has_images = |&(source, target): &(usize, usize)| {
+            drive.images.contains_key(&source) && drive.images.contains_key(&target)
+        };
+        let has_depth = |&(_, target): &(usize, usize)| has_depth(&self.config.depth, drive, target, root);
+
+        let pose_pairs: Vec<(usize, usize)> = true_poses
+            .keys()
+            .map(|&source| (source, source + 1))
+            .filter(|&(source, target)| wanted_frame(source) && true_poses.contains_key(&target))
+            .collect();
+        let image_pairs: Vec<_> = pose_pairs.iter().copied().filter(has_images).collect();
+        let depth_pairs = image_pairs.iter().copied().filter(has_depth).count();
+
+        let count = |files: &BTreeMap<usize, PathBuf>| files.keys().filter(|&&frame| wanted_frame(frame)).count();
+        let mut pairs = Vec::new();
+        let mut measured_pairs = Vec::new();
+        for (system, measurements) in systems.iter().enumerate() {
+            let mut measured = 0;
+            for (&(source, target), measured_pose) in &measurements.relative_poses {
+                let (Some(world_from_source), Some(world_from_target)) =
+                    (true_poses.get(&source), true_poses.get(&target))
+                else {
+                    continue;
+                };
+                if !wanted_frame(source) {
+                    continue;
+                }
+                measured += 1;
+                let pair = (source, target);
+                if self.scope == PairScope::Images && !(has_images(&pair) && has_depth(&pair)) {
+                    continue;
+                }
+                let vehicle_from_camera2 = drive.calibration.camera2_from_vehicle.inverse();
+                let camera2_from_body = drive.calibration.camera2_from(measurements.frame);
+                let source_from_target = measured_pose.conjugated_by(&camera2_from_body);
+                let measured_motion = measured_pose.conjugated_by(&(vehicle_from_camera2 * camera2_from_body));
+                let true_motion = world_from_source.inverse() * *world_from_target;
+                let frame = self.config.data.error_frame;
+                // A system that is the truth has no error, not one of rounding.
+                let is_truth = measurements.frame == MeasurementFrame::Vehicle && *measured_pose == true_motion;
+                let error = match is_truth {
+                    true => Tangent::zeros(),
+                    false => error_in_frame(frame, &measured_motion, &true_motion, world_from_source, drive),
+                };
+                pairs.push(Pair { id: PairId { drive: index, source, target }, system, source_from_target, error });
+            }
+            measured_pairs.push(measured);
+        }
+        let coverage = Coverage {
+            split,
+            drive: index,
+            frames: wanted.frames,
+            true_poses: true_poses.keys().filter(|&&frame| wanted_frame(frame)).count(),
+            images: count(&drive.images),
+            right_images: count(&drive.right_images),
+            scans: count(&drive.scans),
+            pose_pairs: pose_pairs.len(),
+            image_pairs: image_pairs.len(),
+            depth_pairs,
+            measured_pairs,
+            missing_files: systems.iter().map(|system| system.missing_file.clone()).collect(),
+        };
+        Ok((coverage, pairs))
+    }
+
+    fn drive_index(&mut self, name: &str) -> Result<usize> {
+        if let Some(index) = self.drives.iter().position(|drive| drive.name == name) {
+            return Ok(index);
+        }
+        let root = &self.config.data.root;
+        let drive = Drive::load(root, name)?;
+        let packets = drive.oxts_poses.len() + drive.problems.len();
+        let limit = self.config.data.max_bad_fraction;
+        if drive.problems.len() as f64 > limit * packets as f64 {
+            return Err(Error::Data(format!(
+                "{name}: {} of {packets} packets or times are unreadable, more than data.max_bad_fraction = {limit} allows; the first: {}",
+                drive.problems.len(),
+                drive.problems[0]
+            )));
+        }
+        let true_poses = load_true_poses(&self.config.truth, &drive, root)?;
+        let systems = self
+            .config
+            .systems
+            .iter()
+            .map(|system| load_measurements(&system.source, &drive, root, &true_poses))
+            .collect::<Result<_>>()?;
+        tracing::debug!("{name}: {} packets, {} images", drive.oxts_poses.len(), drive.images.len());
+        self.drives.push(drive);
+        self.sources.push((true_poses, systems));
+        Ok(self.drives.len() - 1)
+    }
+}
+
+/// Paper Eq. 2 in the axes of the error frame; both motions are given in vehicle axes.
+fn error_in_frame(
+    frame: ErrorFrame,
+    measured: &Pose,
+    truth: &Pose,
+    world_from_source: &Pose,
+    drive: &Drive,
+) -> Tangent {
+    let axes_from_vehicle = match frame {
+        ErrorFrame::Vehicle => Pose::identity(),
+        ErrorFrame::Camera => drive.calibration.camera2_from_vehicle,
+        ErrorFrame::World => Pose { translation: nalgebra::Vector3::zeros(), ..*world_from_source },
+    };
+    Pose::error(&measured.conjugated_by(&axes_from_vehicle), &truth.conjugated_by(&axes_from_vehicle))
+}
