@@ -40,7 +40,7 @@ fetch() { # URL FILE
         return
     fi
     curl --fail --location --retry 5 --retry-delay 5 --continue-at - --progress-bar --output "$2.partial" "$1" \
-        || fail "could not download $1; run this again to continue"
+        || fail "could not download $1; run this again to continue (should it not, delete $2.partial first)"
     unzip -tqq "$2.partial" >/dev/null || { rm -f "$2.partial"; fail "$1 arrived damaged and was removed; run this again"; }
     mv "$2.partial" "$2"
 }
@@ -49,18 +49,19 @@ complete() { # NUMBER FRAMES
     local drive="$root/$date/${date}_drive_$1_sync"
     # Some KITTI drives lack a few scans; depth from LiDAR leaves those pairs out.
     [ "$(count "$drive/velodyne_points/data" bin)" -gt $(($2 * 9 / 10)) ] || return
-    [ "$(count "$drive/oxts/data" txt)" = "$2" ] && [ "$(count "$drive/image_02/data" png)" = "$2" ] && [ "$(count "$drive/image_03/data" png)" = "$2" ]
+    [ "$(count "$drive/oxts/data" txt)" -eq "$2" ] && [ "$(count "$drive/image_02/data" png)" -eq "$2" ] && [ "$(count "$drive/image_03/data" png)" -eq "$2" ]
 }
 
-if [ ! -f "$root/$date/calib_imu_to_velo.txt" ]; then
+calibration=(calib_cam_to_cam.txt calib_velo_to_cam.txt calib_imu_to_velo.txt)
+calibrated() { for file in "${calibration[@]}"; do [ -s "$root/$date/$file" ] || return 1; done; }
+
+if ! calibrated; then
     echo "calibration of $date"
     fetch "$base/${date}_calib.zip" "$root/${date}_calib.zip"
     unzip -oq "$root/${date}_calib.zip" -d "$root" || fail "could not unpack the calibration"
     rm "$root/${date}_calib.zip"
 fi
-for file in calib_cam_to_cam.txt calib_velo_to_cam.txt calib_imu_to_velo.txt; do
-    [ -s "$root/$date/$file" ] || fail "$root/$date/$file is missing after unpacking the calibration"
-done
+calibrated || fail "one of ${calibration[*]} is missing in $root/$date after unpacking the calibration"
 
 for entry in "${drives[@]}"; do
     read -r number frames <<<"$entry"

@@ -35,9 +35,8 @@ pub(crate) fn parse_numbers(text: &str, path: &Path, place: &Place) -> Result<Ve
 /// It cannot be written; a file of that name stays as it was.
 pub(crate) fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut file = NamedTempFile::new_in(folder).map_err(Error::io("write into", folder))?;
+    let mut file = temporary_in(folder).map_err(Error::io("write into", folder))?;
     file.write_all(bytes).and_then(|()| file.as_file().sync_all()).map_err(Error::io("write", path))?;
-    make_readable(file.path());
     file.persist(path).map_err(|error| Error::io("rename into place", path)(error.error))?;
     Ok(())
 }
@@ -49,18 +48,16 @@ pub(crate) fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
 pub(crate) fn put_in_place(temporary: &Path, path: &Path) -> Result<()> {
     let written = std::fs::File::open(temporary).and_then(|file| file.sync_all());
     written.map_err(Error::io("write", path))?;
-    make_readable(temporary);
     std::fs::rename(temporary, path).map_err(Error::io("rename into place", path))
 }
 
-/// Temporary files are private to their owner; results are to be read like any other file.
-fn make_readable(path: &Path) {
+/// A temporary file that, unlike most, is as readable as any other new file: results are to be shared.
+fn temporary_in(folder: &Path) -> std::io::Result<NamedTempFile> {
+    let mut builder = tempfile::Builder::new();
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt;
-        // Where this is refused the owner can still read it.
-        let _ = std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o644));
+        builder.permissions(std::fs::Permissions::from_mode(0o666));
     }
-    #[cfg(not(unix))]
-    let _ = path;
+    builder.tempfile_in(folder)
 }

@@ -129,9 +129,15 @@ fn observer(quiet: bool) -> impl FnMut(Event) {
             );
         }
         Event::Batch { epoch, batch, pairs_per_second, loss } => {
-            let progress = progress
-                .get_or_insert_with(|| Progress::new(quiet, &format!("epoch {epoch}"), batch - 1, batches_per_epoch));
-            progress.set(batch, &format!("loss {loss:.3}, {pairs_per_second:.1} pairs/s"));
+            progress
+                .get_or_insert_with(|| Progress::new(quiet, &format!("epoch {epoch}"), batch - 1, batches_per_epoch))
+                .set(batch, &format!("loss {loss:.3}, {pairs_per_second:.1} pairs/s"));
+            if batch == batches_per_epoch {
+                progress = None;
+            }
+        }
+        Event::Evaluation { done, pairs } => {
+            progress.get_or_insert_with(|| Progress::new(quiet, "evaluating", 0, pairs)).set(done, "pairs");
         }
         Event::Epoch { row, best } => {
             progress = None;

@@ -25,7 +25,7 @@ impl Config {
             let place = Place::Whole;
             // The text knows its lines; the merged table only its keys.
             match toml::from_str::<Self>(&text) {
-                Err(in_text) if overrides.is_empty() && data_root.is_none() => {
+                Err(in_text) if in_text.message() == error.message() => {
                     Error::malformed(path, place, in_text.to_string().trim_end(), expected)
                 }
                 _ => Error::malformed(
@@ -67,6 +67,8 @@ impl Config {
             training: TrainingConfig {
                 batch: self.training.batch,
                 batches_per_epoch: self.training.batches_per_epoch,
+                watch: self.training.watch,
+                watch_system: self.training.watch_system.clone(),
                 ..defaults
             },
             ..self.clone()

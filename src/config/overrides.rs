@@ -30,6 +30,7 @@ pub(super) fn merge(
         assign(&mut table, "data.root", Value::String(root.display().to_string()))?;
         anchor(&mut table, "data.root", Path::new(""));
     }
+    name_default_sources(&mut table);
     let mut assignments = Vec::new();
     for text in overrides {
         let (key, value) = text
@@ -45,12 +46,16 @@ pub(super) fn merge(
             anchor(&mut table, key, Path::new(""));
         }
     }
+    name_default_sources(&mut table);
+    Ok(table)
+}
+
+fn name_default_sources(table: &mut Table) {
     for (key, source) in DEFAULT_SOURCES {
         if let Some(Value::Table(slots)) = table.get_mut(key) {
             slots.entry("source").or_insert_with(|| Value::String(source.to_owned()));
         }
     }
-    Ok(table)
 }
 
 /// A TOML value, or else the text itself: `--set name=trial` needs no quotes.

@@ -26,6 +26,8 @@ impl Config {
     fn validate_data(&self) -> Result<()> {
         let fraction = self.data.validation_fraction;
         require((0.0..1.0).contains(&fraction), "data.validation_fraction", || format!("{fraction} is not in [0, 1)"))?;
+        let cache_mb = self.data.cache_mb;
+        require(cache_mb <= 1_000_000, "data.cache_mb", || format!("{cache_mb} MB is more than a terabyte"))?;
         let bad = self.data.max_bad_fraction;
         require((0.0..=1.0).contains(&bad), "data.max_bad_fraction", || format!("{bad} is not in [0, 1]"))?;
         for (split, drives) in

@@ -204,6 +204,12 @@ impl Dataset {
 
     fn explain_empty(&self, name: SplitName, system: usize) -> Error {
         let coverage: Vec<_> = self.coverage.iter().filter(|coverage| coverage.split == name).collect();
+        if name == SplitName::Validation && coverage.is_empty() {
+            return Error::config(
+                "data.validation_fraction",
+                "holds out no pair of the training drives; raise it, or list drives in data.validation",
+            );
+        }
         let sum = |count: fn(&Coverage) -> usize| coverage.iter().map(|coverage| count(coverage)).sum::<usize>();
         let measured: usize = coverage.iter().map(|coverage| coverage.measured_pairs[system]).sum();
         let files: Vec<_> = coverage

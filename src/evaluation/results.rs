@@ -78,7 +78,8 @@ pub struct SystemEvaluation {
 /// Evaluates predictions and baselines, system by system.
 ///
 /// # Errors
-/// A system the run was not trained on has no constant; or a system has no predictions.
+/// A system has no predictions. One the run was not trained on has no constant baseline, which is no
+/// error.
 pub fn evaluate_run(
     predictions: &[Prediction],
     dataset: &Dataset,

@@ -4,7 +4,7 @@
 
 use burn::module::{Module, Param};
 use burn::nn::conv::{Conv2d, Conv2dConfig};
-use burn::nn::{Dropout, DropoutConfig, Linear, LinearConfig, PaddingConfig2d};
+use burn::nn::{Dropout, DropoutConfig, Initializer, Linear, LinearConfig, PaddingConfig2d};
 use burn::tensor::activation::relu;
 use burn::tensor::{Device, Tensor};
 
@@ -14,6 +14,10 @@ const CONVOLUTIONS: [(usize, usize, usize); 5] = [(5, 2, 64), (5, 2, 128), (3, 2
 const HIDDEN_UNITS: usize = 128;
 /// Table I: outputs of fc2, one log-variance a component.
 const OUTPUTS: usize = 6;
+
+/// He's initialisation (He et al. 2015), which keeps the variance of activations through ReLU layers;
+/// Burn draws biases from the same law, where He's are zero.
+const HE_UNIFORM: Initializer = Initializer::KaimingUniform { gain: std::f64::consts::SQRT_2, fan_out_only: false };
 
 /// Shape of a [`CovarianceNetwork`].
 #[derive(Debug, Clone, PartialEq)]
@@ -31,7 +35,9 @@ pub struct CovarianceNetworkConfig {
 /// Maps two images to the six log-variances d of `R = D(exp(d))` (paper Table I, architecture of its reference 7).
 ///
 /// Departures, where the paper is silent: ReLU after every layer but the last, zero padding of half
-/// the kernel, dropout after the activation of each convolution.
+/// the kernel, dropout after the activation of each convolution, He's initialisation (under that of
+/// PyTorch's layers the differences between images fade through seven layers, and learning starts
+/// late).
 #[derive(Module, Debug)]
 pub struct CovarianceNetwork {
     c1: Conv2d,
@@ -57,6 +63,7 @@ impl CovarianceNetworkConfig {
             Conv2dConfig::new([inputs, outputs], [kernel, kernel])
                 .with_stride([stride, stride])
                 .with_padding(PaddingConfig2d::Explicit(pad, pad, pad, pad))
+                .with_initializer(HE_UNIFORM)
                 .init(device)
         });
         let mut fc2 = LinearConfig::new(HIDDEN_UNITS, OUTPUTS).init(device);
@@ -71,7 +78,7 @@ impl CovarianceNetworkConfig {
             c3,
             c4,
             c5,
-            fc1: LinearConfig::new(self.features(), HIDDEN_UNITS).init(device),
+            fc1: LinearConfig::new(self.features(), HIDDEN_UNITS).with_initializer(HE_UNIFORM).init(device),
             fc2,
             dropout: DropoutConfig::new(self.dropout).init(),
         }

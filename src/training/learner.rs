@@ -57,6 +57,13 @@ pub enum Event<'a> {
         /// Mean loss of the batch.
         loss: f64,
     },
+    /// The watched pairs are being evaluated after an epoch.
+    Evaluation {
+        /// Pairs done.
+        done: usize,
+        /// Pairs in all.
+        pairs: usize,
+    },
     /// An epoch was finished and saved.
     Epoch {
         /// Its losses.
@@ -111,7 +118,8 @@ impl Learner {
         dataset.require(SplitName::Train)?;
         let manifest = describe(&config, &dataset, device);
         let learner = Self::new(config, dataset, &manifest, device, |path| RunFolder::create(path, replace))?;
-        learner.run.write_description(&learner.config, &manifest)?;
+        learner.run.write_config(&learner.config)?;
+        learner.run.write_manifest(&manifest)?;
         Ok(learner)
     }
 
@@ -125,7 +133,7 @@ impl Learner {
         if manifest.experiment_fingerprint != config.experiment_fingerprint() {
             return Err(Error::run(
                 run.path(),
-                "was started with other settings; a resumed run may change its device, data.root, training.epochs, stop, watch, watch_system, learning_rate, micro_batch, loader_threads and prefetch; start a new run for others",
+                "was started with other settings; a resumed run may change its device, data.root, data.max_bad_fraction, data.cache_mb, and of training: epochs, stop, learning_rate, micro_batch, loader_threads, prefetch; start a new run for others",
             ));
         }
         if manifest.data_fingerprint != dataset.fingerprint() {
@@ -138,7 +146,7 @@ impl Learner {
         let (model, optimiser, history) =
             learner.run.load_state(learner.model, learner.optimiser, learner.config.systems.len())?;
         (learner.model, learner.optimiser, learner.history) = (model, optimiser, history);
-        learner.run.write_description(&learner.config, &manifest)?;
+        learner.run.write_config(&learner.config)?;
         Ok(learner)
     }
 
@@ -219,13 +227,7 @@ impl Learner {
             }
             let epoch = self.history.rows.len() + 1;
             while self.history.batches < self.history.epoch_start + batches_per_epoch {
-                let loss = match self.learn_batch(&mut loader) {
-                    Err(error @ Error::Data(_)) => {
-                        self.save_state()?;
-                        return Err(error);
-                    }
-                    outcome => outcome?,
-                };
+                let loss = self.learn_batch(&mut loader).map_err(|error| self.saved_before(error))?;
                 observer(Event::Batch {
                     epoch,
                     batch: self.history.batches - self.history.epoch_start,
@@ -238,11 +240,21 @@ impl Learner {
                 }
                 self.stop_if_interrupted()?;
             }
-            let best = self.finish_epoch()?;
+            let best = self.finish_epoch(observer).map_err(|error| self.saved_before(error))?;
             saved = Instant::now();
             observer(Event::Epoch { row: self.history.rows.last().expect("just finished"), best });
             self.stop_if_interrupted()?;
         }
+    }
+
+    /// Unreadable data end a run but not the work done: the state is saved before the error is returned.
+    fn saved_before(&self, error: Error) -> Error {
+        if matches!(error, Error::Data(_))
+            && let Err(unsaved) = self.save_state()
+        {
+            tracing::warn!("the state could not be saved: {unsaved}");
+        }
+        error
     }
 
     fn stop_if_interrupted(&self) -> Result<()> {
@@ -290,8 +302,8 @@ impl Learner {
     }
 
     /// Evaluates, keeps the best model, saves the state; whether this epoch is the best.
-    fn finish_epoch(&mut self) -> Result<bool> {
-        let predictions = self.predict_watched()?;
+    fn finish_epoch(&mut self, observer: &mut dyn FnMut(Event)) -> Result<bool> {
+        let predictions = self.predict_watched(observer)?;
         let floor = self.architecture.log_variance_floor;
         let at_floor = floor.map_or(0.0, |floor| share_at_floor(&predictions, &floor));
         let systems = self.config.systems.len();
@@ -316,16 +328,20 @@ impl Learner {
     }
 
     /// Predictions of the watched split; an interrupt ends them, and a resumed run makes them anew.
-    fn predict_watched(&self) -> Result<Vec<Prediction>> {
+    fn predict_watched(&self, observer: &mut dyn FnMut(Event)) -> Result<Vec<Prediction>> {
         let split = self.dataset.split(watched_split(&self.config));
-        let mut unless_interrupted = |_| self.stop_if_interrupted();
+        let pairs = split.pairs.len();
+        let mut progress = |done| {
+            observer(Event::Evaluation { done, pairs });
+            self.stop_if_interrupted()
+        };
         predict_split(
             &self.model.valid(),
             &self.watched_reader,
             split,
             &self.config.training,
             &self.device,
-            &mut unless_interrupted,
+            &mut progress,
         )
     }
 

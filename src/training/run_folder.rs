@@ -7,7 +7,7 @@
 //!   metrics.csv         one row an epoch
 //!   losses.svg          the same as a picture
 //!   model.safetensors   weights of the best epoch
-//!   state-N/            after N mini-batches: weights, optimiser, history (the newest only)
+//!   state-B-E/          after B mini-batches and E epochs: weights, optimiser, history (the newest only)
 //! ```
 //!
 //! Everything is written under a temporary name and renamed: whatever bears its final name is whole.
@@ -34,6 +34,7 @@ const METRICS: &str = "metrics.csv";
 const LOSSES: &str = "losses.svg";
 const MODEL: &str = "model.safetensors";
 const STATE_PREFIX: &str = "state-";
+const PARTIAL: &str = ".partial";
 const STATE_MODEL: &str = "model.bpk";
 const STATE_OPTIMISER: &str = "optimiser.bpk";
 const STATE_HISTORY: &str = "history.json";
@@ -55,7 +56,9 @@ impl RunFolder {
     /// The folder holds a run and `replace` is false, or it cannot be written.
     pub fn create(path: &Path, replace: bool) -> Result<Self> {
         let run = Self { path: path.to_owned() };
-        if run.path.join(MANIFEST).exists() || run.path.join(MODEL).exists() {
+        if run.path.is_dir()
+            && (run.path.join(MANIFEST).exists() || run.path.join(MODEL).exists() || !run.states()?.is_empty())
+        {
             if !replace {
                 return Err(Error::run(
                     path,
@@ -95,12 +98,19 @@ impl RunFolder {
         self.path.join(CONFIG)
     }
 
-    /// Writes configuration and manifest.
+    /// Writes the effective configuration.
     ///
     /// # Errors
-    /// They cannot be written.
-    pub fn write_description(&self, config: &Config, manifest: &Manifest) -> Result<()> {
-        write_atomically(&self.path.join(CONFIG), config.to_toml().as_bytes())?;
+    /// It cannot be written.
+    pub fn write_config(&self, config: &Config) -> Result<()> {
+        write_atomically(&self.config_path(), config.to_toml().as_bytes())
+    }
+
+    /// Writes the manifest, once in a run.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn write_manifest(&self, manifest: &Manifest) -> Result<()> {
         let json = serde_json::to_string_pretty(manifest).expect("a manifest is JSON");
         write_atomically(&self.path.join(MANIFEST), json.as_bytes())
     }
@@ -149,7 +159,13 @@ impl RunFolder {
             let _ = std::fs::remove_file(&temporary);
             Error::Io { action: "write", path: path.clone(), reason: std::io::Error::other(error.to_string()) }
         })?;
-        put_in_place(&temporary, &path)
+        put_in_place(&temporary, &path)?;
+        // Results of an earlier model are not this one's.
+        RESULTS
+            .map(|file| self.path.join(file))
+            .iter()
+            .filter(|path| path.exists())
+            .try_for_each(|path| std::fs::remove_file(path).map_err(Error::io("remove", path)))
     }
 
     /// Loads the best model onto a device.
@@ -210,7 +226,8 @@ impl RunFolder {
         if let Some(svg) = loss_curves(history, systems) {
             write_atomically(&self.path.join(LOSSES), svg.as_bytes())?;
         }
-        for old in self.states()?.into_iter().filter(|state| state != &folder) {
+        let old = self.states()?.into_iter().filter(|state| state != &folder);
+        for old in old.chain(self.partial_states()?) {
             std::fs::remove_dir_all(&old).map_err(Error::io("remove", &old))?;
         }
         Ok(())
@@ -251,7 +268,9 @@ impl RunFolder {
         let model = model.try_load_record(record).map_err(|error| damaged(STATE_MODEL, &error))?;
         let record =
             OptimizerRecord::load(folder.join(STATE_OPTIMISER)).map_err(|error| damaged(STATE_OPTIMISER, &error))?;
-        if record.len() != ADAM_MOMENTS * weights {
+        // Before its first step Adam keeps nothing.
+        let expected = if history.batches == 0 { 0 } else { ADAM_MOMENTS * weights };
+        if record.len() != expected {
             let found = format!("{} tensors for {weights} weights", record.len());
             return Err(damaged(STATE_OPTIMISER, &found));
         }
@@ -279,39 +298,54 @@ impl RunFolder {
         };
         model.clone().into_record().save(folder.join(STATE_MODEL)).map_err(failed(STATE_MODEL))?;
         optimiser.to_record().save(folder.join(STATE_OPTIMISER)).map_err(failed(STATE_OPTIMISER))?;
+        for file in [STATE_MODEL, STATE_OPTIMISER] {
+            let path = folder.join(file);
+            let written = std::fs::File::open(&path).and_then(|file| file.sync_all());
+            written.map_err(Error::io("write", &path))?;
+        }
         let json = serde_json::to_string_pretty(history).expect("a history is JSON");
         write_atomically(&folder.join(STATE_HISTORY), json.as_bytes())
     }
 
     /// State folders, oldest first.
     fn states(&self) -> Result<Vec<PathBuf>> {
+        self.folders(|name| {
+            let numbers = name.strip_prefix(STATE_PREFIX)?;
+            numbers.split('-').all(|number| number.parse::<usize>().is_ok()).then_some(())
+        })
+    }
+
+    /// What a killed save left behind.
+    fn partial_states(&self) -> Result<Vec<PathBuf>> {
+        self.folders(|name| (name.strip_suffix(PARTIAL)?.strip_prefix('.')?.starts_with(STATE_PREFIX)).then_some(()))
+    }
+
+    /// Folders in this one whose name is wanted, in order.
+    fn folders(&self, wanted: impl Fn(&str) -> Option<()>) -> Result<Vec<PathBuf>> {
         let entries = std::fs::read_dir(&self.path).map_err(Error::io("list", &self.path))?;
-        let mut states: Vec<PathBuf> = entries
+        let mut folders: Vec<PathBuf> = entries
             .filter_map(|entry| Some(entry.ok()?.path()))
-            .filter(|path| {
-                let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-                let numbers = name.strip_prefix(STATE_PREFIX).unwrap_or("-");
-                path.is_dir() && numbers.split('-').all(|number| number.parse::<usize>().is_ok())
-            })
+            .filter(|path| path.is_dir() && path.file_name().and_then(|name| wanted(name.to_str()?)).is_some())
             .collect();
-        states.sort();
-        Ok(states)
+        folders.sort();
+        Ok(folders)
     }
 
     fn temporary(&self, name: &str) -> PathBuf {
-        self.path.join(format!(".{name}.partial"))
+        self.path.join(format!(".{name}{PARTIAL}"))
     }
 
-    /// Removes what a run wrote, and nothing else.
+    /// Removes what a run wrote, and nothing else; the manifest last, so that a run stays one until
+    /// nothing is left of it.
     fn clear(&self) -> Result<()> {
-        for file in [MANIFEST, CONFIG, METRICS, LOSSES, MODEL].into_iter().chain(RESULTS) {
+        for folder in self.states()?.into_iter().chain(self.partial_states()?) {
+            std::fs::remove_dir_all(&folder).map_err(Error::io("remove", &folder))?;
+        }
+        for file in RESULTS.into_iter().chain([METRICS, LOSSES, MODEL, CONFIG, MANIFEST]) {
             let path = self.path.join(file);
             if path.exists() {
                 std::fs::remove_file(&path).map_err(Error::io("remove", &path))?;
             }
-        }
-        for state in self.states()? {
-            std::fs::remove_dir_all(&state).map_err(Error::io("remove", &state))?;
         }
         Ok(())
     }

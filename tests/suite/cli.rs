@@ -170,7 +170,7 @@ fn an_interrupted_run_resumes_to_the_same_result() {
 
     relcov().arg("train").arg("--resume").arg(&run).assert().success();
     let (unbroken, broken) = (losses(&made.path("runs/unbroken")), losses(&run));
-    assert_eq!(unbroken.len(), 3);
+    assert_eq!((unbroken.len(), broken.len()), (3, 3));
     for (a, b) in unbroken.iter().flatten().zip(broken.iter().flatten()) {
         assert!((a - b).abs() <= 1e-6 * a.abs(), "{a} against {b}");
     }
