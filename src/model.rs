@@ -13,7 +13,7 @@ use crate::warp::{Warp, Warped};
 
 /// Images lie in 0…1; the network sees them around 0.
 const IMAGE_MEAN: f32 = 0.5;
-/// Scale of the residual image, which brings it to the contrast of an image (`prototypes`: 4).
+/// Scale of the residual image, which brings it to the contrast of an image.
 const RESIDUAL_GAIN: f32 = 4.0;
 
 /// What the network sees of target and warped image: the same information in two bases.
