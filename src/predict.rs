@@ -30,7 +30,8 @@ use crate::training::RunFolder;
 ///     camera,
 ///     source_from_target: geometry::Pose::exp(&geometry::Tangent::new(0.0, 0.0, 0.9, 0.0, 0.0, 0.0)),
 /// })?;
-/// println!("σ = {} (m, rad; {} axes)", covariance.std_devs(), model.error_frame().name());
+/// let sigma = covariance.std_devs(); // x, y, z (m), roll, pitch, yaw (rad), axes of model.error_frame()
+/// # let _ = sigma;
 /// # Ok(())
 /// # }
 /// ```

@@ -46,6 +46,7 @@ pub(super) fn merge(
             anchor(&mut table, key, Path::new(""));
         }
     }
+    // Once more for tables that an override has begun.
     name_default_sources(&mut table);
     Ok(table)
 }
@@ -117,4 +118,43 @@ fn absolute(path: &Path) -> PathBuf {
         }
         plain
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn merged(text: &str, overrides: &[&str]) -> Table {
+        let overrides: Vec<String> = overrides.iter().map(|text| (*text).to_owned()).collect();
+        merge(text, Path::new("experiment.toml"), Path::new("/configs"), None, &overrides).unwrap()
+    }
+
+    #[test]
+    fn a_source_override_comes_before_the_keys_beside_it() {
+        let depth =
+            &merged("[depth]\ncamera_height_m = 1.2", &["depth.fill_radius_px=3", "depth.source=lidar"])["depth"];
+        assert_eq!(depth["fill_radius_px"].as_integer(), Some(3));
+        assert!(depth.get("camera_height_m").is_none(), "LiDAR has no camera height");
+    }
+
+    #[test]
+    fn naming_the_source_that_is_there_keeps_its_keys() {
+        let depth = &merged("[depth]\ncamera_height_m = 1.2", &["depth.source=ground_plane"])["depth"];
+        assert_eq!(depth["camera_height_m"].as_float(), Some(1.2));
+        assert_eq!(merged("", &["depth.max_depth_m=50"])["depth"]["source"].as_str(), Some("ground_plane"));
+    }
+
+    #[test]
+    fn paths_resolve_against_the_file_that_holds_them() {
+        let text = "checkpoints = \"../runs\"\n[data]\nroot = \"kitti\"";
+        let table = merged(text, &["data.root=/elsewhere"]);
+        assert_eq!(table["checkpoints"].as_str(), Some("/runs"));
+        assert_eq!(table["data"]["root"].as_str(), Some("/elsewhere"));
+    }
+
+    #[test]
+    fn lists_take_an_index() {
+        let table = merged("systems = [{ share = 0.75 }, { share = 0.25 }]", &["systems.1.share=0.5"]);
+        assert_eq!(table["systems"][1]["share"].as_float(), Some(0.5));
+    }
 }

@@ -338,15 +338,6 @@ fn a_damaged_run_folder_is_explained() {
 }
 
 #[test]
-fn a_source_override_comes_before_its_keys() {
-    let made = Made::new();
-    made.train(&["depth.fill_radius_px=3", "depth.source=lidar", "training.epochs=1"])
-        .assert()
-        .code(1)
-        .stderr(contains("0 of those with depth"));
-}
-
-#[test]
 #[cfg(target_os = "linux")]
 fn a_full_stderr_costs_no_run() {
     let made = Made::new();
