@@ -49,6 +49,7 @@ fn not_compiled(name: &str, feature: &str) -> Error {
 
 #[cfg(feature = "flex")]
 fn flex(_: &str) -> Result<Device> {
+    crate::kernels::Instructions::chosen()?;
     Ok(Device::flex())
 }
 

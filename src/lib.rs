@@ -12,11 +12,13 @@
 //! | train | [`training::Learner`], or `relcov train` |
 //! | judge a model | [`evaluation`], or `relcov eval` |
 //! | read the method | [`model`], [`warp`], [`network`], [`loss`] |
+//! | know why it is fast | [`kernels`] |
 //!
 //! Data flow one way: [`data`] (with [`systems`] and [`depth`]) → [`warp`] → [`network`] → [`loss`] →
 //! [`training`] → [`evaluation`] → [`report`]. Two worlds meet at two doors: [`data::PairBatch`] takes
 //! f64 poses to f32 tensors, [`evaluation::predict_split`] and [`Model::predict`] bring them back.
 #![warn(missing_docs)]
+#![deny(unsafe_code)]
 
 pub mod config;
 pub mod data;
@@ -26,6 +28,7 @@ pub mod error;
 pub mod evaluation;
 mod files;
 pub mod geometry;
+pub mod kernels;
 pub mod loss;
 pub mod model;
 pub mod network;

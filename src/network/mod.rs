@@ -8,6 +8,8 @@ use burn::nn::{Dropout, DropoutConfig, Initializer, Linear, LinearConfig, Paddin
 use burn::tensor::activation::relu;
 use burn::tensor::{Device, Tensor};
 
+use crate::kernels::{conv2d, linear, relu_dropout};
+
 /// Table I: kernel size, stride and outputs of c1…c5.
 const CONVOLUTIONS: [(usize, usize, usize); 5] = [(5, 2, 64), (5, 2, 128), (3, 2, 256), (3, 2, 512), (3, 1, 1024)];
 /// Table I: outputs of fc1.
@@ -103,17 +105,78 @@ impl CovarianceNetwork {
     /// - `images`: `[batch, channels, height, width]`
     /// - returns: `[batch, 6]`, d; order ρ then φ, ln m² and ln rad²
     pub fn forward(&self, images: Tensor<4>) -> Tensor<2> {
-        let features = self.features(images).into_iter().last().expect("five layers");
-        let hidden = relu(self.fc1.forward(features.flatten::<2>(1, 3)));
+        let features = self.convolutions().into_iter().fold(images, |images, layer| self.layer(layer, images));
+        let hidden = relu(linear(&self.fc1, features.flatten::<2>(1, 3)));
         self.fc2.forward(hidden)
     }
 
     /// The activations of c1…c5, each `[batch, outputs, height, width]`.
     pub fn features(&self, images: Tensor<4>) -> [Tensor<4>; 5] {
         let mut activation = images;
-        [&self.c1, &self.c2, &self.c3, &self.c4, &self.c5].map(|convolution| {
-            activation = self.dropout.forward(relu(convolution.forward(activation.clone())));
+        self.convolutions().map(|layer| {
+            activation = self.layer(layer, activation.clone());
             activation.clone()
         })
+    }
+
+    fn convolutions(&self) -> [&Conv2d; 5] {
+        [&self.c1, &self.c2, &self.c3, &self.c4, &self.c5]
+    }
+
+    fn layer(&self, convolution: &Conv2d, images: Tensor<4>) -> Tensor<4> {
+        relu_dropout(&self.dropout, conv2d(convolution, images))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use burn::module::{Module, ModuleVisitor};
+    use burn::tensor::Distribution;
+
+    use super::*;
+
+    /// Table I by Burn's own operations.
+    fn stock_forward(network: &CovarianceNetwork, images: Tensor<4>) -> Tensor<2> {
+        let activate = |images, layer: &Conv2d| network.dropout.forward(relu(layer.forward(images)));
+        let features = network.convolutions().into_iter().fold(images, activate);
+        network.fc2.forward(relu(network.fc1.forward(features.flatten::<2>(1, 3))))
+    }
+
+    struct Gradients<'a> {
+        of: &'a burn::tensor::Gradients,
+        values: Vec<Vec<f32>>,
+    }
+
+    impl ModuleVisitor for Gradients<'_> {
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            let gradient = param.val().grad(self.of).expect("every weight has a gradient");
+            self.values.push(gradient.into_data().iter().collect());
+        }
+    }
+
+    #[test]
+    fn kernels_give_the_gradients_of_burns_own_operations() {
+        let device = Device::flex().autodiff();
+        device.seed(1);
+        let config = CovarianceNetworkConfig { channels: 6, height: 64, width: 96, dropout: 0.0 };
+        let mut network = config.init([-8.0; 6], &device);
+        // fc2 starts at zero, which would hide the gradients of everything before it.
+        let weight = Tensor::random([HIDDEN_UNITS, OUTPUTS], Distribution::Normal(0.0, 0.3), &device);
+        network.fc2.weight = Param::from_tensor(weight).set_require_grad(true);
+        let images = Tensor::random([4, 6, 64, 96], Distribution::Normal(0.0, 1.0), &device.clone().inner());
+        let gradients = |output: Tensor<2>| {
+            let gradients = output.square().sum().backward();
+            let mut visitor = Gradients { of: &gradients, values: Vec::new() };
+            network.visit(&mut visitor);
+            visitor.values
+        };
+        let kernels = gradients(network.forward(images.clone()));
+        let stock = gradients(stock_forward(&network, images));
+        assert_eq!(kernels.len(), 14);
+        for (index, (kernels, stock)) in kernels.iter().zip(&stock).enumerate() {
+            let size = stock.iter().fold(0.0f32, |size, value| size.max(value.abs()));
+            let worst = kernels.iter().zip(stock).fold(0.0f32, |worst, (a, b)| worst.max((a - b).abs()));
+            assert!(worst <= 1e-5 * size, "tensor {index}: differs by {worst:e}, its largest gradient is {size:e}");
+        }
     }
 }

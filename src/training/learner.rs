@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use burn::module::Module;
-use burn::optim::{AdamConfig, GradientsAccumulator, ModuleOptimizer};
+use burn::optim::{GradientsAccumulator, ModuleOptimizer};
 use burn::tensor::{Device, Tensor};
 use burn::train::TrainStep;
 use rand::{Rng, SeedableRng};
@@ -24,6 +24,7 @@ use crate::config::Config;
 use crate::data::{BadFrame, BatchLoader, Choice, Dataset, LoadedBatch, PairReader, SplitName};
 use crate::error::{Error, Result};
 use crate::evaluation::{Prediction, mean_loss, predict_split, read_values, share_at_floor};
+use crate::kernels::Adam;
 use crate::model::{Architecture, CovarianceModel, MicroBatch};
 use crate::systems::Mixer;
 
@@ -165,7 +166,7 @@ impl Learner {
         let run = open(&config.run_folder())?;
         device.seed(config.seed);
         let model = manifest.architecture.init(manifest.initial_log_variance, &device.clone().autodiff());
-        let optimiser = AdamConfig::new().with_epsilon(ADAM_EPSILON).init();
+        let optimiser = Adam::new(ADAM_EPSILON).into();
         Ok(Self {
             reader: Arc::new(PairReader::new(&config, &dataset, SplitName::Train)),
             watched_reader: Arc::new(PairReader::new(&config, &dataset, watched)),

@@ -8,6 +8,8 @@ use burn::module::Module;
 use burn::tensor::ops::{GridSampleOptions, GridSamplePaddingMode, InterpolateMode};
 use burn::tensor::{Bool, Device, Int, Tensor};
 
+use crate::kernels::{self, Validity};
+
 /// A point counts as in front of the source camera beyond this depth, m.
 pub const MIN_DEPTH_M: f32 = 1e-3;
 
@@ -59,6 +61,12 @@ impl Warp {
         intrinsics: Tensor<2>,
         source_from_target: Tensor<3>,
     ) -> Warped {
+        let validity = Validity { min_depth_m: MIN_DEPTH_M, border_tolerance_px: BORDER_TOLERANCE_PX };
+        if let Some((image, valid_mask)) =
+            kernels::warp(&source_image, &target_depth, &intrinsics, &source_from_target, validity)
+        {
+            return Warped { image, valid_mask };
+        }
         let coordinates = self.project(target_depth, intrinsics, source_from_target);
         self.sample(source_image, coordinates)
     }

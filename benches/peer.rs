@@ -1,0 +1,112 @@
+//! One measurement for `data_scripts/bench_peer.py`, which runs the same one in PyTorch beside it.
+//!
+//! `cargo bench --bench peer -- train|forward|warp HEIGHT WIDTH BATCH RUNS` prints one line of JSON:
+//! median and least time in milliseconds, and peak memory in MB. `RAYON_NUM_THREADS` sets the threads,
+//! `RELCOV_INSTRUCTIONS=burn` takes Burn's own operations in place of relcov's kernels, and
+//! `RELCOV_BENCH_DEVICE` names another device than flex.
+
+use std::time::Instant;
+
+use burn::optim::{GradientsParams, ModuleOptimizer};
+use burn::tensor::{Device, Distribution, Tensor, TensorData};
+use relcov::device::open_device;
+use relcov::kernels::Adam;
+use relcov::network::CovarianceNetworkConfig;
+use relcov::warp::Warp;
+
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
+const WARM_UP: usize = 3;
+
+fn main() {
+    // Cargo adds `--bench`.
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| argument != "--bench").collect();
+    let [mode, numbers @ ..] = &arguments[..] else {
+        eprintln!("peer: run by data_scripts/bench_peer.py, or with `-- train|forward|warp HEIGHT WIDTH BATCH RUNS`");
+        return;
+    };
+    let numbers: Vec<usize> = numbers.iter().map(|number| number.parse().expect("a number")).collect();
+    let &[height, width, batch, runs] = &numbers[..] else { panic!("expected HEIGHT WIDTH BATCH RUNS") };
+    let name = std::env::var("RELCOV_BENCH_DEVICE").unwrap_or_else(|_| "flex".to_owned());
+    let device = open_device(&name).expect("a device");
+    let before = memory_mb("VmRSS");
+    let times = match mode.as_str() {
+        "train" => train([batch, height, width], runs, &device),
+        "forward" => forward([batch, height, width], runs, &device),
+        "warp" => warp([batch, height, width], runs, &device),
+        mode => panic!("unknown measurement `{mode}`"),
+    };
+    let (median, least) = (times[times.len() / 2], times[0]);
+    let numbers = [median, least, memory_mb("VmHWM"), before].map(|number| format!("{number:.3}"));
+    let [median, least, peak, before] = numbers;
+    println!(r#"{{"median_ms": {median}, "least_ms": {least}, "peak_mb": {peak}, "before_mb": {before}}}"#);
+}
+
+/// Times of `run`, ascending, ms.
+fn times(runs: usize, mut run: impl FnMut()) -> Vec<f64> {
+    for _ in 0..WARM_UP {
+        run();
+    }
+    let mut times: Vec<f64> = (0..runs)
+        .map(|_| {
+            let begin = Instant::now();
+            run();
+            begin.elapsed().as_secs_f64() * 1e3
+        })
+        .collect();
+    times.sort_by(f64::total_cmp);
+    times
+}
+
+fn network(height: usize, width: usize) -> CovarianceNetworkConfig {
+    CovarianceNetworkConfig { channels: 6, height, width, dropout: 0.5 }
+}
+
+/// Forward, mean square, backward, Adam.
+fn train([batch, height, width]: [usize; 3], runs: usize, device: &Device) -> Vec<f64> {
+    let mut model = Some(network(height, width).init([0.0; 6], &device.clone().autodiff()));
+    let mut optimiser = ModuleOptimizer::from(Adam::new(1e-8));
+    let images = Tensor::<4>::random([batch, 6, height, width], Distribution::Normal(0.0, 1.0), device);
+    let targets = Tensor::<2>::random([batch, 6], Distribution::Normal(0.0, 1.0), device);
+    times(runs, || {
+        let network = model.take().expect("put back below");
+        let loss = (network.forward(images.clone()) - targets.clone()).square().mean();
+        let gradients = GradientsParams::from_grads(loss.backward(), &network);
+        model = Some(optimiser.step(1e-4, network, gradients));
+        device.sync().expect("a device that works");
+        assert!(loss.into_scalar::<f32>().is_finite());
+    })
+}
+
+fn forward([batch, height, width]: [usize; 3], runs: usize, device: &Device) -> Vec<f64> {
+    let network = network(height, width).init([0.0; 6], device);
+    let images = Tensor::<4>::random([batch, 6, height, width], Distribution::Normal(0.0, 1.0), device);
+    times(runs, || drop(std::hint::black_box(network.forward(images.clone()).into_data())))
+}
+
+/// A flat road, seen from a car that drives on.
+fn warp([batch, height, width]: [usize; 3], runs: usize, device: &Device) -> Vec<f64> {
+    let images = Tensor::<4>::random([batch, 3, height, width], Distribution::Default, device);
+    let focal_px = 0.58 * width as f32;
+    let (centre_u, centre_v) = (0.5 * width as f32, 0.5 * height as f32);
+    let row_depth = |row: usize| (1.65 * focal_px / (row as f32 - centre_v).max(1.0)).min(80.0);
+    let depth: Vec<f32> = (0..batch * height * width).map(|index| row_depth(index / width % height)).collect();
+    let depth = Tensor::from_data(TensorData::new(depth, [batch, 1, height, width]), device);
+    let intrinsics = [focal_px, focal_px, centre_u, centre_v].repeat(batch);
+    let intrinsics = Tensor::from_data(TensorData::new(intrinsics, [batch, 4]), device);
+    let pose = [1.0, 0.0, 0.01, 0.01, 0.0, 1.0, 0.0, 0.0, -0.01, 0.0, 1.0, 0.9, 0.0, 0.0, 0.0, 1.0f32].repeat(batch);
+    let pose = Tensor::from_data(TensorData::new(pose, [batch, 4, 4]), device);
+    times(runs, || {
+        let warped = Warp.forward(images.clone(), depth.clone(), intrinsics.clone(), pose.clone());
+        std::hint::black_box(warped.image.into_data());
+    })
+}
+
+/// A line of this process's memory statistics, MB; 0 where the system keeps none.
+fn memory_mb(name: &str) -> f64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(':'));
+    let kilobytes = line.and_then(|line| line.split_whitespace().next()?.parse::<f64>().ok());
+    kilobytes.unwrap_or(0.0) / 1024.0
+}

@@ -1,0 +1,339 @@
+#!/usr/bin/env -S uv run --script
+# /// script
+# requires-python = ">=3.10"
+# dependencies = ["torch>=2.5", "numpy"]
+# ///
+"""Times relcov beside PyTorch, on this machine, in one run, and writes docs/performance.md.
+
+    uv run data_scripts/bench_peer.py                        # everything; about 20 minutes on 2 cores
+    uv run data_scripts/bench_peer.py --only forward         # lines whose name holds a word; prints only
+    uv run data_scripts/bench_peer.py --gpu vulkan cuda      # PyTorch CUDA beside these devices of relcov;
+                                                             # writes docs/results/gpu.md
+
+Without uv: pip install torch numpy, then python data_scripts/bench_peer.py.
+
+Each measurement is a process of its own, so that peak memory is that of the case; relcov's and
+PyTorch's take turns for several rounds, and the medians of all rounds are compared. PyTorch runs f32 in
+both memory layouts, and the faster counts.
+"""
+
+import argparse
+import datetime
+import json
+import os
+import platform
+import re
+import resource
+import statistics
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = ROOT / "docs" / "performance.md"
+
+# Name, mode, height, width, batch, runs in a process, aimed ratio to PyTorch's time.
+CASES = [
+    ("train step", "train", 96, 320, 8, 12, 0.70),
+    ("train step", "train", 192, 640, 4, 6, 0.65),
+    ("forward", "forward", 96, 320, 1, 60, 0.85),
+    ("forward", "forward", 192, 640, 1, 30, 0.85),
+    ("forward", "forward", 320, 1024, 1, 15, 0.85),
+    ("warp", "warp", 160, 512, 8, 40, 0.50),
+]
+# Mode, height, width, batch, runs, threads; None: all of them.
+SCALING = [
+    ("train", 96, 320, 1, 12, None),
+    ("train", 96, 320, 4, 12, None),
+    ("train", 96, 320, 12, 6, 1),
+    ("train", 96, 320, 12, 8, None),
+    ("train", 96, 320, 28, 4, None),
+    ("train", 96, 320, 84, 3, None),
+    ("train", 192, 640, 1, 6, None),
+    ("train", 192, 640, 12, 3, None),
+    ("forward", 96, 320, 1, 40, 1),
+    ("forward", 96, 320, 28, 6, None),
+    ("forward", 192, 640, 1, 20, 1),
+]
+
+
+# --- PyTorch's side: one measurement a process -------------------------------------------------
+
+
+def torch_network(torch, height, width):
+    """Table I, as in src/network/mod.rs."""
+    nn, layers, channels = torch.nn, [], 6
+    for outputs, kernel, stride in [(64, 5, 2), (128, 5, 2), (256, 3, 2), (512, 3, 2), (1024, 3, 1)]:
+        layers += [nn.Conv2d(channels, outputs, kernel, stride, kernel // 2), nn.ReLU(), nn.Dropout(0.5)]
+        height, width = ((size + 2 * (kernel // 2) - kernel) // stride + 1 for size in (height, width))
+        channels = outputs
+    features = channels * height * width
+    return nn.Sequential(*layers, nn.Flatten(), nn.Linear(features, 128), nn.ReLU(), nn.Linear(128, 6))
+
+
+def torch_warp(torch, image, depth, intrinsics, pose):
+    """Paper Eq. 5 and bilinear interpolation, as in src/warp/mod.rs."""
+    batch, _, height, width = image.shape
+    fx, fy, cx, cy = intrinsics.view(batch, 4, 1, 1).unbind(1)
+    v, u = torch.meshgrid(torch.arange(float(height)), torch.arange(float(width)), indexing="ij")
+    v, u = v.to(image.device), u.to(image.device)
+    rays = torch.stack([(u - cx) / fx, (v - cy) / fy, torch.ones_like(u).expand(batch, -1, -1)], 1)
+    points = pose[:, :3, :3] @ (rays * depth).flatten(2) + pose[:, :3, 3:]
+    x, y, z = points.view(batch, 3, height, width).unbind(1)
+    in_front = (z > 1e-3) & (depth[:, 0] > 0)
+    z = torch.where(in_front, z, 1.0)
+    u, v = x / z * fx + cx, y / z * fy + cy
+    valid = in_front & (u >= 0) & (u <= width - 1) & (v >= 0) & (v <= height - 1)
+    grid = torch.stack([u * (2 / (width - 1)) - 1, v * (2 / (height - 1)) - 1], 3)
+    sampled = torch.nn.functional.grid_sample(image, grid, padding_mode="border", align_corners=True)
+    return sampled * valid[:, None]
+
+
+def torch_measurement(mode, height, width, batch, runs, layout, device, precision):
+    import torch
+
+    threads = int(os.environ.get("BENCH_THREADS", "0"))
+    if threads:
+        torch.set_num_threads(threads)
+    before = rss_mb()
+    finish = torch.cuda.synchronize if device == "cuda" else lambda: None
+    autocast = torch.autocast(device, torch.bfloat16, enabled=precision == "bf16")
+    if mode == "warp":
+        image = torch.rand(batch, 3, height, width, device=device)
+        rows = torch.arange(float(height), device=device)
+        focal_px = 0.58 * width
+        depth = (1.65 * focal_px / (rows - height / 2).clamp(min=1)).clamp(max=80)
+        depth = depth.view(1, 1, height, 1).expand(batch, 1, height, width).contiguous()
+        intrinsics = torch.tensor([focal_px, focal_px, width / 2, height / 2], device=device).repeat(batch, 1)
+        pose = torch.tensor([[1, 0, 0.01, 0.01], [0, 1, 0, 0], [-0.01, 0, 1, 0.9], [0, 0, 0, 1]], device=device)
+        pose = pose.repeat(batch, 1, 1)
+
+        def run():
+            with torch.inference_mode():
+                torch_warp(torch, image, depth, intrinsics, pose)
+    else:
+        network = torch_network(torch, height, width).to(device)
+        images = torch.randn(batch, 6, height, width, device=device)
+        if layout == "channels_last":
+            network, images = network.to(memory_format=torch.channels_last), images.to(memory_format=torch.channels_last)
+        if mode == "forward":
+            network.eval()
+
+            def run():
+                with torch.inference_mode(), autocast:
+                    network(images)
+        else:
+            network.train()
+            optimiser = torch.optim.Adam(network.parameters(), 1e-4)
+            targets = torch.randn(batch, 6, device=device)
+
+            def run():
+                optimiser.zero_grad(set_to_none=True)
+                with autocast:
+                    output = network(images)
+                loss = ((output.float() - targets) ** 2).mean()
+                loss.backward()
+                optimiser.step()
+                loss.item()
+
+    for _ in range(3):
+        run()
+    times = []
+    for _ in range(runs):
+        finish()
+        begin = time.perf_counter()
+        run()
+        finish()
+        times.append((time.perf_counter() - begin) * 1e3)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(json.dumps({"median_ms": statistics.median(times), "least_ms": min(times), "peak_mb": peak, "before_mb": before,
+                      "version": torch.__version__}))
+
+
+def rss_mb():
+    """Resident memory now, MB."""
+    line = re.search(r"VmRSS:\s+(\d+) kB", Path("/proc/self/status").read_text())
+    return int(line[1]) / 1024
+
+
+# --- Both sides, taking turns -------------------------------------------------------------------
+
+
+def run_json(command, **environment):
+    """The last line a command prints, as JSON."""
+    done = subprocess.run(command, cwd=ROOT, env={**os.environ, **environment}, stdout=subprocess.PIPE, text=True)
+    if done.returncode:
+        sys.exit(f"failed: {' '.join(map(str, command))}")
+    return json.loads(done.stdout.strip().splitlines()[-1])
+
+
+def relcov(binary, mode, height, width, batch, runs, threads=None, **environment):
+    if threads:
+        environment["RAYON_NUM_THREADS"] = str(threads)
+    return run_json([binary, mode, *map(str, (height, width, batch, runs))], **environment)
+
+
+def torch_worker(mode, height, width, batch, runs, threads=None, layout="contiguous", device="cpu", precision="f32"):
+    command = [sys.executable, __file__, "--worker", mode, *map(str, (height, width, batch, runs)), layout, device, precision]
+    return run_json(command, BENCH_THREADS=str(threads or 0))
+
+
+def median_of(results):
+    """Median of the rounds' medians, least of the least, largest peak."""
+    return {
+        **results[0],
+        "median_ms": statistics.median(result["median_ms"] for result in results),
+        "peak_mb": max(result["peak_mb"] for result in results),
+    }
+
+
+def side_by_side(binary, case, rounds, threads=None, stock=True, options=None):
+    """Runs relcov, PyTorch in both layouts and, on request, stock flex, in turn."""
+    sides = {"relcov": lambda: relcov(binary, *case, threads=threads, **(options or {}))}
+    layouts = ["contiguous"] if case[0] == "warp" else ["contiguous", "channels_last"]
+    for layout in layouts:
+        sides[layout] = lambda layout=layout: torch_worker(*case, threads=threads, layout=layout)
+    if stock:
+        sides["stock"] = lambda: relcov(binary, *case, threads=threads, RELCOV_INSTRUCTIONS="burn")
+    results = {side: [] for side in sides}
+    for _ in range(rounds):
+        for side, measure in sides.items():
+            results[side].append(measure())
+    results = {side: median_of(found) for side, found in results.items()}
+    results["torch"] = min((results.pop(layout) for layout in layouts), key=lambda result: result["median_ms"])
+    return results
+
+
+def build(*options):
+    """The benchmark's binary, as cargo names it."""
+    command = ["cargo", "bench", "--bench", "peer", "--no-run", "--message-format=json", *options]
+    lines = subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True).stdout.splitlines()
+    artifacts = [json.loads(line) for line in lines if '"compiler-artifact"' in line]
+    return next(a["executable"] for a in artifacts if a["target"]["name"] == "peer" and a["executable"])
+
+
+def processor():
+    try:
+        return re.search(r"model name\s*:\s*(.+)", Path("/proc/cpuinfo").read_text())[1]
+    except (OSError, TypeError):
+        return platform.processor() or platform.machine()
+
+
+def ms(value):
+    return f"{value:.1f}" if value < 100 else f"{value:.0f}"
+
+
+def kind(mode):
+    return {"train": "train step", "forward": "forward", "warp": "warp"}[mode]
+
+
+def main_table(binary, rounds, only):
+    lines = [
+        "| case | PyTorch, ms | Burn's flex, ms | relcov, ms | relcov / PyTorch | aim | memory: PyTorch, MB | Burn's flex, MB | relcov, MB |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    version = None
+    for name, mode, height, width, batch, runs, aim in CASES:
+        label = f"{name}, batch {batch}, {height}x{width}"
+        if only and only not in label:
+            continue
+        found = side_by_side(binary, (mode, height, width, batch, runs), rounds)
+        ours, torch, stock = found["relcov"], found["torch"], found["stock"]
+        version = torch["version"]
+        ratio = ours["median_ms"] / torch["median_ms"]
+        memory = [result["peak_mb"] - result["before_mb"] for result in (torch, stock, ours)]
+        lines.append(
+            f"| {label} | {ms(torch['median_ms'])} | {ms(stock['median_ms'])} | {ms(ours['median_ms'])} | **{ratio:.2f}** | {aim:.2f} | "
+            + " | ".join(f"{value:.0f}" for value in memory) + " |"
+        )
+        print(lines[-1], flush=True)
+    return lines, version
+
+
+def scaling_table(binary, rounds):
+    lines = [
+        "| case | threads | PyTorch, ms | relcov, ms | relcov / PyTorch | relcov, ms a pair | memory: PyTorch, MB | relcov, MB |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for mode, height, width, batch, runs, threads in SCALING:
+        found = side_by_side(binary, (mode, height, width, batch, runs), rounds, threads, stock=False)
+        ours, torch = found["relcov"], found["torch"]
+        memory = [result["peak_mb"] - result["before_mb"] for result in (torch, ours)]
+        lines.append(
+            f"| {kind(mode)}, batch {batch}, {height}x{width} | {threads or os.cpu_count()} | {ms(torch['median_ms'])} | "
+            f"{ms(ours['median_ms'])} | {ours['median_ms'] / torch['median_ms']:.2f} | {ms(ours['median_ms'] / batch)} | "
+            f"{memory[0]:.0f} | {memory[1]:.0f} |"
+        )
+        print(lines[-1], flush=True)
+    return lines
+
+
+def gpu_table(devices, torch_device, rounds):
+    """Training and forward at the paper's size and batch, on a GPU: relcov's devices, PyTorch f32 and bf16."""
+    features = ",".join(device.split(":")[0] for device in devices)
+    binary = build("--features", features)
+    lines = ["| case | " + " | ".join(f"relcov {device}, ms" for device in devices) + " | PyTorch f32, ms | PyTorch bf16, ms |",
+             "|---" * (len(devices) + 3) + "|"]
+    for mode, runs in [("train", 10), ("forward", 20), ("warp", 20)]:
+        case = (mode, 160, 512, 84, runs)
+        sides = [lambda device=device: relcov(binary, *case, RELCOV_BENCH_DEVICE=device) for device in devices]
+        sides += [lambda precision=precision: torch_worker(*case, layout="channels_last", device=torch_device, precision=precision)
+                  for precision in ("f32", "bf16")]
+        results = [[side() for _ in range(1)] for side in sides]
+        for _ in range(rounds - 1):
+            for found, side in zip(results, sides):
+                found.append(side())
+        times = " | ".join(ms(median_of(found)["median_ms"]) for found in results)
+        lines.append(f"| {kind(mode)}, batch 84, 160x512 | {times} |")
+        print(lines[-1], flush=True)
+    command = f"data_scripts/bench_peer.py --gpu {' '.join(devices)}"
+    page = ROOT / "docs" / "results" / "gpu.md"
+    page.parent.mkdir(parents=True, exist_ok=True)
+    gpu = subprocess.run(["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"], capture_output=True, text=True).stdout.strip() \
+        if torch_device == "cuda" else torch_device
+    page.write_text("\n".join(["# On a GPU", "", f"`{command}`, {gpu}, {datetime.date.today().isoformat()}.", "", *lines, ""]))
+
+
+def write_page(tables):
+    """Replaces what stands between the markers of docs/performance.md."""
+    page = PAGE.read_text()
+    for name, lines in tables.items():
+        begin, end = f"<!-- {name}: written by data_scripts/bench_peer.py -->", f"<!-- end of {name} -->"
+        if begin not in page or end not in page:
+            sys.exit(f"{PAGE}: expected the lines `{begin}` and `{end}`")
+        head, rest = page.split(begin)
+        page = head + begin + "\n" + "\n".join(lines) + "\n" + end + rest.split(end, 1)[1]
+    PAGE.write_text(page)
+
+
+def main():
+    if sys.argv[1:2] == ["--worker"]:
+        mode, *numbers = sys.argv[2:7]
+        return torch_measurement(mode, *map(int, numbers), *sys.argv[7:10])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=3, help="turns of each side (default 3)")
+    parser.add_argument("--only", help="measure the lines whose name holds this, and print only")
+    parser.add_argument("--no-scaling", action="store_true", help="leave the scaling table as it is")
+    parser.add_argument("--gpu", nargs="+", metavar="DEVICE", help="devices of relcov to compare with PyTorch on a GPU")
+    parser.add_argument("--torch-device", default="cuda", help="PyTorch's device for --gpu (default cuda)")
+    arguments = parser.parse_args()
+    if arguments.gpu:
+        return gpu_table(arguments.gpu, arguments.torch_device, arguments.rounds)
+    binary = build()
+    main_lines, version = main_table(binary, arguments.rounds, arguments.only)
+    if arguments.only:
+        return
+    tables = {"comparison": main_lines}
+    if not arguments.no_scaling:
+        tables["scaling"] = scaling_table(binary, max(1, arguments.rounds - 1))
+    tables["machine"] = [
+        f"{processor()}, {os.cpu_count()} cores, {platform.system()}; PyTorch {version}, "
+        f"relcov {json.loads(subprocess.check_output(['cargo', 'metadata', '--no-deps', '--format-version=1'], cwd=ROOT))['packages'][0]['version']}; "
+        f"{datetime.date.today().isoformat()}. Medians of {arguments.rounds} rounds; memory is the peak over that before the network was built."
+    ]
+    write_page(tables)
+
+
+if __name__ == "__main__":
+    main()
