@@ -1,12 +1,13 @@
-//! Time of each stage: decode and resize, warp, network forward, training step, and the whole
+//! Time of each stage: decode and resize, warp, prediction, loading, training step, and the whole
 //! training loop beside its bare step. `cargo bench`; sizes below are those of configs/kitti_sample.toml.
 
+use std::cell::RefCell;
 use std::hint::black_box;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use burn::module::Module;
-use burn::optim::{AdamConfig, GradientsAccumulator};
+use burn::optim::{GradientsAccumulator, ModuleOptimizer};
 use burn::tensor::{Device, Tensor};
 use burn::train::TrainStep;
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
@@ -14,9 +15,15 @@ use relcov::config::Config;
 use relcov::data::{Dataset, PairBatch, PairReader, PairSample, PairScope, RgbImage, SplitName, read_image};
 use relcov::depth::ground_plane_depth;
 use relcov::geometry::{Pinhole, Pose, Tangent};
-use relcov::model::{Architecture, InputBasis, MicroBatch};
+use relcov::kernels::Adam;
+use relcov::model::{Architecture, CovarianceModel, InputBasis, MicroBatch};
 use relcov::training::{Event, Learner};
 use relcov::warp::Warp;
+use relcov::{Measurement, Model};
+
+/// That of the program.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 const CAMERA: Pinhole = Pinhole { fx: 707.0912, fy: 707.0912, cx: 601.8873, cy: 183.1104, width: 1226, height: 370 };
 const SIZES: [(usize, usize); 2] = [(320, 96), (512, 160)];
@@ -79,13 +86,60 @@ fn forward(criterion: &mut Criterion) {
     }
 }
 
+/// A run folder on disk to its first covariance, as a robot starts.
+fn load(criterion: &mut Criterion) {
+    let device = Device::flex();
+    let (width, height) = SIZES[1];
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let Some(run) = trained_run(folder.path(), (width, height)) else { return };
+    let image = RgbImage { width, height, bytes: vec![128; 3 * width * height] };
+    let camera = CAMERA.resized(width, height);
+    let measurement = Measurement {
+        source_image: image.clone(),
+        target_image: image,
+        target_depth: ground_plane_depth(&camera, 1.65, None, 80.0),
+        camera,
+        source_from_target: Pose::exp(&Tangent::new(0.01, 0.0, 0.9, 0.0, 0.01, 0.0)),
+    };
+    let mut group = criterion.benchmark_group("load and predict first");
+    group.sample_size(10);
+    group.bench_function(format!("{width}x{height}"), |bencher| {
+        bencher.iter(|| {
+            let model = Model::load(&run, &device).expect("a run just made");
+            black_box(model.predict(&measurement).expect("a covariance"))
+        });
+    });
+}
+
+/// One mini-batch of training on the real sample; `None`, and said so, without it.
+fn trained_run(folder: &Path, (width, height): (usize, usize)) -> Option<PathBuf> {
+    let settings = [
+        format!("checkpoints={}", folder.display()),
+        format!("model.width={width}"),
+        format!("model.height={height}"),
+        "training.epochs=1".to_owned(),
+        "training.batches_per_epoch=1".to_owned(),
+        "training.batch=4".to_owned(),
+        "training.micro_batch=4".to_owned(),
+    ];
+    let config = Config::load("configs/kitti_sample.toml".as_ref(), &settings).expect("a shipped configuration");
+    let Ok(dataset) = Dataset::load(&config, PairScope::Images) else {
+        eprintln!("skipped: load (no data at {})", config.data.root.display());
+        return None;
+    };
+    let run = config.run_folder();
+    let mut learner = Learner::start(config, Arc::new(dataset), &Device::flex(), false).expect("a new run");
+    learner.train(&mut |_| ()).expect("one epoch");
+    Some(run)
+}
+
 fn training_step(criterion: &mut Criterion) {
     let device = Device::flex();
     let mut group = criterion.benchmark_group("training step");
     group.sample_size(10);
     let size = SIZES[0];
-    let mut model = architecture(size).init([-8.0; 6], &device.clone().autodiff());
-    let mut optimiser = AdamConfig::new().with_epsilon(1e-8).init();
+    let model = architecture(size).init([-8.0; 6], &device.clone().autodiff());
+    let mut optimiser = ModuleOptimizer::from(Adam::new(1e-8));
     for pairs in [4, 14] {
         let batch = batch(pairs, size, &device);
         group.throughput(Throughput::Elements(pairs as u64));
@@ -103,21 +157,23 @@ fn training_step(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("adam");
     group.sample_size(10);
     let batch = batch(14, size, &device);
-    let gradients = || {
+    let gradients = |model: &CovarianceModel| {
         let mut sum = GradientsAccumulator::new();
-        sum.accumulate(&model, TrainStep::step(&model, MicroBatch { pairs: batch.clone(), weight: 0.1 }).grads);
+        sum.accumulate(model, TrainStep::step(model, MicroBatch { pairs: batch.clone(), weight: 0.1 }).grads);
         sum.grads()
     };
-    let mut prepared: Vec<_> = (0..12).map(|_| gradients()).collect();
+    // The benchmark's two closures need the model in turn.
+    let model = RefCell::new(Some(model));
     group.bench_function("all weights at 320x96", |bencher| {
         bencher.iter_batched(
-            || prepared.pop().unwrap_or_else(&gradients),
-            |gradients| black_box(optimiser.step(1e-4, model.clone(), gradients)),
+            || gradients(model.borrow().as_ref().expect("put back below")),
+            |gradients| {
+                let network = model.take().expect("put back below");
+                model.replace(Some(optimiser.step(1e-4, network, gradients)));
+            },
             criterion::BatchSize::PerIteration,
         );
     });
-    model = model.valid();
-    black_box(model);
 }
 
 fn decode(criterion: &mut Criterion) {
@@ -158,17 +214,19 @@ fn training_loop(criterion: &mut Criterion) {
         .map(|pair| reader.read(pair).expect("readable").expect("readable"))
         .collect();
     let part = PairBatch::new(&samples, &device);
-    let mut model = architecture((config.model.width, config.model.height)).init([-8.0; 6], &device.clone().autodiff());
-    let mut optimiser = AdamConfig::new().with_epsilon(1e-8).init();
+    let architecture = architecture((config.model.width, config.model.height));
+    let mut model = Some(architecture.init([-8.0; 6], &device.clone().autodiff()));
+    let mut optimiser = ModuleOptimizer::from(Adam::new(1e-8));
     group.bench_function("bare step", |bencher| {
         bencher.iter(|| {
             let mut gradients = GradientsAccumulator::new();
+            let network = model.take().expect("put back below");
             for _ in 0..config.training.batch / config.training.micro_batch {
-                let output = TrainStep::step(&model, MicroBatch { pairs: part.clone(), weight: 1.0 / pairs as f32 });
-                gradients.accumulate(&model, output.grads);
+                let output = TrainStep::step(&network, MicroBatch { pairs: part.clone(), weight: 1.0 / pairs as f32 });
+                gradients.accumulate(&network, output.grads);
                 finish(output.item.loss);
             }
-            model = optimiser.step(1e-4, model.clone(), gradients.grads());
+            model = Some(optimiser.step(1e-4, network, gradients.grads()));
         });
     });
 
@@ -193,5 +251,5 @@ fn learner_done(interrupt: &std::sync::atomic::AtomicBool) {
     interrupt.store(true, std::sync::atomic::Ordering::Relaxed);
 }
 
-criterion_group!(stages, decode, warp, forward, training_step, training_loop);
+criterion_group!(stages, decode, warp, forward, load, training_step, training_loop);
 criterion_main!(stages);

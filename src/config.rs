@@ -284,8 +284,11 @@ pub struct TrainingConfig {
     pub stop: StopConfig,
     /// Threads that read and resize images. Default: 2.
     pub loader_threads: usize,
-    /// Micro-batches kept ready ahead of the network. Default: 4.
+    /// Most micro-batches kept ready ahead of the network. Default: 4.
     pub prefetch: usize,
+    /// Most memory that micro-batches kept ready may take, MB; one is kept ready in any case.
+    /// Default: 256.
+    pub prefetch_mb: usize,
 }
 
 impl Default for TrainingConfig {
@@ -301,6 +304,7 @@ impl Default for TrainingConfig {
             stop: StopConfig::default(),
             loader_threads: 2,
             prefetch: 4,
+            prefetch_mb: 256,
         }
     }
 }

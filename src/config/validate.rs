@@ -135,6 +135,7 @@ impl Config {
             ("batches_per_epoch", training.batches_per_epoch.unwrap_or(1)),
             ("loader_threads", training.loader_threads),
             ("prefetch", training.prefetch),
+            ("prefetch_mb", training.prefetch_mb),
             ("stop.smoothing", training.stop.smoothing),
             ("stop.window", training.stop.window),
         ] {

@@ -12,6 +12,7 @@ use rayon::prelude::*;
 use super::batch::PairNumbers;
 use super::dataset::Pair;
 use super::reader::{PairReader, PairSample};
+use crate::config::TrainingConfig;
 use crate::error::{Error, Result};
 
 /// A pair to read, and what to do when it cannot be read.
@@ -39,7 +40,8 @@ pub struct BatchLoader {
 }
 
 impl BatchLoader {
-    /// Starts reading. At most `prefetch` batches wait to be taken.
+    /// Starts reading. At most `training.prefetch` batches and `training.prefetch_mb` of memory wait to
+    /// be taken, but one batch in any case.
     ///
     /// # Errors
     /// Threads cannot be started.
@@ -47,16 +49,17 @@ impl BatchLoader {
         reader: Arc<PairReader>,
         pairs: Arc<Vec<Pair>>,
         requests: impl Iterator<Item = Vec<Choice>> + Send + 'static,
-        threads: usize,
-        prefetch: usize,
+        training: &TrainingConfig,
     ) -> Result<Self> {
         let failed = |error: &dyn std::fmt::Display| Error::Training(format!("cannot start loader threads: {error}"));
         let pool = ThreadPoolBuilder::new()
-            .num_threads(threads)
+            .num_threads(training.loader_threads)
             .thread_name(|index| format!("loader-{index}"))
             .build()
             .map_err(|error| failed(&error))?;
-        let (sender, batches) = sync_channel(prefetch);
+        let batch_bytes = training.micro_batch * reader.pair_bytes();
+        let fitting = training.prefetch_mb.saturating_mul(1_000_000) / batch_bytes.max(1);
+        let (sender, batches) = sync_channel(fitting.clamp(1, training.prefetch));
         let thread = std::thread::Builder::new()
             .name("loader".to_owned())
             .spawn(move || {

@@ -105,6 +105,11 @@ impl PairReader {
         }
     }
 
+    /// Memory that a pair takes in a batch: two colour images and a depth map of 32-bit floats.
+    pub fn pair_bytes(&self) -> usize {
+        self.cameras.first().map_or(0, |camera| (3 + 3 + 1) * size_of::<f32>() * camera.width * camera.height)
+    }
+
     /// Reads a pair, or `None` when one of its frames is bad.
     ///
     /// # Errors

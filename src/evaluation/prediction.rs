@@ -62,13 +62,7 @@ pub fn predict_split(
     let requests: Vec<Vec<Choice>> = choices.chunks(loading.micro_batch).map(<[Choice]>::to_vec).collect();
     let pairs = Arc::new(split.pairs.clone());
     let batches = requests.len();
-    let mut loader = BatchLoader::spawn(
-        reader.clone(),
-        pairs.clone(),
-        requests.into_iter(),
-        loading.loader_threads,
-        loading.prefetch,
-    )?;
+    let mut loader = BatchLoader::spawn(reader.clone(), pairs.clone(), requests.into_iter(), loading)?;
 
     let mut predictions = Vec::with_capacity(pairs.len());
     for _ in 0..batches {

@@ -103,7 +103,8 @@ pub struct Learner {
     device: Device,
     architecture: Architecture,
     run: RunFolder,
-    model: CovarianceModel,
+    /// Absent only while the optimiser has it: nobody else may hold the weights it changes in place.
+    model: Option<CovarianceModel>,
     optimiser: ModuleOptimizer,
     history: History,
     constant_loss: Vec<Option<f64>>,
@@ -134,7 +135,7 @@ impl Learner {
         if manifest.experiment_fingerprint != config.experiment_fingerprint() {
             return Err(Error::run(
                 run.path(),
-                "was started with other settings; a resumed run may change its device, data.root, data.max_bad_fraction, data.cache_mb, and of training: epochs, stop, learning_rate, micro_batch, loader_threads, prefetch; start a new run for others",
+                "was started with other settings; a resumed run may change its device, data.root, data.max_bad_fraction, data.cache_mb, and of training: epochs, stop, learning_rate, micro_batch, loader_threads, prefetch, prefetch_mb; start a new run for others",
             ));
         }
         if manifest.data_fingerprint != dataset.fingerprint() {
@@ -144,9 +145,10 @@ impl Learner {
             ));
         }
         let mut learner = Self::new(config, dataset, &manifest, device, |_| Ok(run))?;
+        let model = learner.model.take().expect("a new learner has its model");
         let (model, optimiser, history) =
-            learner.run.load_state(learner.model, learner.optimiser, learner.config.systems.len())?;
-        (learner.model, learner.optimiser, learner.history) = (model, optimiser, history);
+            learner.run.load_state(model, learner.optimiser, learner.config.systems.len())?;
+        (learner.model, learner.optimiser, learner.history) = (Some(model), optimiser, history);
         learner.run.write_config(&learner.config)?;
         Ok(learner)
     }
@@ -178,7 +180,7 @@ impl Learner {
             config,
             dataset,
             run,
-            model,
+            model: Some(model),
             optimiser,
         })
     }
@@ -191,6 +193,10 @@ impl Learner {
     /// The run folder.
     pub fn run(&self) -> &RunFolder {
         &self.run
+    }
+
+    fn model(&self) -> &CovarianceModel {
+        self.model.as_ref().expect("only a step takes it")
     }
 
     /// Frames that could not be read so far, of the training pairs and the watched ones.
@@ -216,7 +222,7 @@ impl Learner {
         observer(Event::Started {
             batches_done: self.history.batches,
             batches_per_epoch,
-            parameters: self.model.num_params(),
+            parameters: self.model().num_params(),
             constant_loss: &self.constant_loss,
         });
         let mut loader = self.spawn_loader()?;
@@ -280,8 +286,8 @@ impl Learner {
             // Dropout is a function of seed, batch and part, so that a resumed run repeats it.
             self.device.seed(step_seed(seed, batch, part));
             let part = MicroBatch { pairs: numbers.upload(&self.device), weight: 1.0 / size as f32 };
-            let output = TrainStep::step(&self.model, part);
-            gradients.accumulate(&self.model, output.grads);
+            let output = TrainStep::step(self.model(), part);
+            gradients.accumulate(self.model(), output.grads);
             losses.push(output.item.loss);
             learned.extend(pairs);
         }
@@ -293,7 +299,9 @@ impl Learner {
                 batch + 1
             )));
         }
-        self.model = self.optimiser.step(self.config.training.learning_rate, self.model.clone(), gradients.grads());
+        let learning_rate = self.config.training.learning_rate;
+        let model = self.model.take().expect("put back by the step before");
+        self.model = Some(self.optimiser.step(learning_rate, model, gradients.grads()));
         for (pair, loss) in learned.into_iter().zip(losses) {
             self.history.add(self.dataset.train.pairs[pair].system, loss);
         }
@@ -321,7 +329,7 @@ impl Learner {
         let (newest, earlier) = watched.split_last().expect("the watched system has pairs");
         let best = earlier.iter().all(|loss| newest < loss);
         if best {
-            self.run.save_model(&self.model.valid())?;
+            self.run.save_model(&self.model().valid())?;
             self.history.best_epoch = Some(self.history.rows.len());
         }
         self.save_state()?;
@@ -337,7 +345,7 @@ impl Learner {
             self.stop_if_interrupted()
         };
         predict_split(
-            &self.model.valid(),
+            &self.model().valid(),
             &self.watched_reader,
             split,
             &self.config.training,
@@ -356,7 +364,7 @@ impl Learner {
     }
 
     fn save_state(&self) -> Result<()> {
-        self.run.save_state(&self.model, &self.optimiser, &self.history, &self.dataset.systems)
+        self.run.save_state(self.model(), &self.optimiser, &self.history, &self.dataset.systems)
     }
 
     /// Reads all mini-batches that are still to come, part by part.
@@ -373,14 +381,7 @@ impl Learner {
                 choices.map(|pair| Choice { pair, substitutes: Some(ranges[systems[pair]].clone()) }).collect();
             choices.chunks(micro_batch).map(<[Choice]>::to_vec).collect::<Vec<_>>()
         });
-        let training = &self.config.training;
-        BatchLoader::spawn(
-            self.reader.clone(),
-            Arc::new(split.pairs.clone()),
-            requests,
-            training.loader_threads,
-            training.prefetch,
-        )
+        BatchLoader::spawn(self.reader.clone(), Arc::new(split.pairs.clone()), requests, &self.config.training)
     }
 }
 

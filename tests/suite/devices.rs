@@ -153,6 +153,47 @@ fn pixels_behind_the_camera_or_without_depth_are_invalid_and_finite() {
     }
 }
 
+/// Two roads to one number: on flex `forward` is one pass over the pixels, `project` and `sample` are
+/// Burn's operations.
+#[test]
+fn the_warp_in_one_pass_agrees_with_the_warp_in_steps() {
+    let device = open_device("flex").unwrap();
+    let mut pairs = pairs(&device);
+    let noise = |scale: f32| move |k: usize| ((k as f32 * 12.9898 + scale).sin() * 43758.547).fract().abs();
+    for round in 0..20 {
+        let size = 0.05 * round as f32;
+        let poses: Vec<Pose> = (0..2)
+            .map(|pair| {
+                let at = |k: usize| f64::from((noise(size)(k + 6 * pair) - 0.5) * size);
+                Pose::exp(&Tangent::new(at(0), at(1), 6.0 * at(2), at(3), at(4), at(5)))
+            })
+            .collect();
+        // Some depths unknown, some behind the source camera after the motion.
+        let depth = |k: usize| (8.0 * noise(size + 1.0)(k) - 1.0).max(0.0);
+        pairs.target_depth = floats([2, 1, HEIGHT, WIDTH], depth, &device);
+        pairs.source_image = floats([2, 3, HEIGHT, WIDTH], noise(size + 2.0), &device);
+        let pose = pose_tensor(&poses, &device);
+        let PairBatch { source_image, target_depth, intrinsics, .. } = pairs.clone();
+        let coordinates = Warp.project(target_depth.clone(), intrinsics.clone(), pose.clone());
+        let [u, v] = [coordinates.u.clone(), coordinates.v.clone()].map(values);
+        let in_steps = Warp.sample(source_image.clone(), coordinates);
+        let in_one = Warp.forward(source_image, target_depth, intrinsics, pose);
+        let [steps_mask, one_mask] = [in_steps.valid_mask, in_one.valid_mask].map(values);
+        let [steps, one] = [in_steps.image, in_one.image].map(values);
+        assert!(steps_mask.iter().sum::<f64>() > 20.0, "round {round}: the test must see valid pixels");
+        for (index, (a, b)) in one.iter().zip(&steps).enumerate() {
+            let pixel = index / (3 * HEIGHT * WIDTH) * HEIGHT * WIDTH + index % (HEIGHT * WIDTH);
+            // Rounding decides on which side of the border a coordinate within 1e-4 px of it lies.
+            let off = |x: f64, last: usize| (x + 1e-3).abs().min((x - last as f64 - 1e-3).abs()) < 1e-4;
+            if off(u[pixel], WIDTH - 1) || off(v[pixel], HEIGHT - 1) {
+                continue;
+            }
+            assert_eq!(one_mask[pixel], steps_mask[pixel], "round {round}, pixel {pixel}");
+            assert!((a - b).abs() < 2e-4, "round {round}, value {index}: {a} for {b} at ({}, {})", u[pixel], v[pixel]);
+        }
+    }
+}
+
 #[test]
 fn gradients_of_the_warp_agree_with_finite_differences() {
     let device = open_device("flex").unwrap();
