@@ -19,5 +19,9 @@ sample *ARGS:
 bench *ARGS:
     cargo bench {{ARGS}}
 
+# Side by side with PyTorch; writes docs/performance.md
+bench-peer *ARGS:
+    uv run data_scripts/bench_peer.py {{ARGS}}
+
 doc:
     cargo doc --no-deps --open

@@ -160,3 +160,60 @@ impl Kernel for SampleRow<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SHAPE: [usize; 4] = [2, 3, 9, 37];
+
+    fn source_image() -> Vec<f32> {
+        (0..SHAPE.iter().product::<usize>()).map(|index| (index as f32).sin()).collect()
+    }
+
+    fn warped(instructions: Instructions, depth: f32, pose: [f32; 16]) -> (Vec<f32>, Vec<f32>) {
+        let [batch, _, height, width] = SHAPE;
+        let input = WarpInput {
+            source_image: &source_image(),
+            target_depth: &vec![depth; batch * height * width],
+            intrinsics: &[30.0, 32.0, 18.0, 4.0].repeat(batch),
+            source_from_target: &pose.repeat(batch),
+            shape: SHAPE,
+            validity: Validity { min_depth_m: 1e-3, border_tolerance_px: 1e-3 },
+        };
+        warp(instructions, input)
+    }
+
+    const IDENTITY: [f32; 16] = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
+
+    #[test]
+    fn the_identity_returns_the_image() {
+        for instructions in Instructions::available() {
+            let (image, mask) = warped(instructions, 7.0, IDENTITY);
+            assert!(image.iter().zip(source_image()).all(|(a, b)| (a - b).abs() < 1e-4));
+            assert!(mask.iter().all(|&valid| valid == 1.0));
+        }
+    }
+
+    /// Whatever the numbers, nothing outside the image is read, and what is not valid is 0.
+    #[test]
+    fn wild_poses_and_depths_stay_inside_the_image() {
+        let wild = [0.0, -1.0, 1e-30, 1e30, -1e30, f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 7.0];
+        for instructions in Instructions::available() {
+            for (index, &value) in wild.iter().enumerate() {
+                warped(instructions, value, IDENTITY);
+                for &other in &wild[index..] {
+                    let mut pose = IDENTITY;
+                    (pose[0], pose[3], pose[7], pose[11]) = (other, value, other, value);
+                    let (image, mask) = warped(instructions, 5.0, pose);
+                    let plane = SHAPE[2] * SHAPE[3];
+                    for (index, &value) in image.iter().enumerate() {
+                        let pixel = index / (3 * plane) * plane + index % plane;
+                        assert!(mask[pixel] == 1.0 || value == 0.0);
+                        assert!(value.is_finite());
+                    }
+                }
+            }
+        }
+    }
+}

@@ -294,6 +294,13 @@ fn a_configuration_error_names_its_key() {
 }
 
 #[test]
+fn unknown_instructions_are_named_before_anything_is_read() {
+    let made = Made::new();
+    let found = made.train(&[]).env("RELCOV_INSTRUCTIONS", "mmx").assert().code(1);
+    found.stderr(contains("RELCOV_INSTRUCTIONS").and(contains("`mmx`")).and(contains("portable")));
+}
+
+#[test]
 fn an_empty_split_says_what_is_missing() {
     let made = Made::new();
     made.train(&["data.test=[]"]).assert().code(1).stderr(contains("`test`"));
