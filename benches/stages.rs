@@ -139,7 +139,7 @@ fn training_step(criterion: &mut Criterion) {
     group.sample_size(10);
     let size = SIZES[0];
     let model = architecture(size).init([-8.0; 6], &device.clone().autodiff());
-    let mut optimiser = ModuleOptimizer::from(Adam::new(1e-8));
+    let mut optimiser = ModuleOptimizer::from(Adam::new());
     for pairs in [4, 14] {
         let batch = batch(pairs, size, &device);
         group.throughput(Throughput::Elements(pairs as u64));
@@ -216,7 +216,7 @@ fn training_loop(criterion: &mut Criterion) {
     let part = PairBatch::new(&samples, &device);
     let architecture = architecture((config.model.width, config.model.height));
     let mut model = Some(architecture.init([-8.0; 6], &device.clone().autodiff()));
-    let mut optimiser = ModuleOptimizer::from(Adam::new(1e-8));
+    let mut optimiser = ModuleOptimizer::from(Adam::new());
     group.bench_function("bare step", |bencher| {
         bencher.iter(|| {
             let mut gradients = GradientsAccumulator::new();

@@ -16,7 +16,7 @@ pub const DEVICE_NAMES: &str = "auto | flex | ndarray | wgpu | vulkan | cuda[:i]
 pub fn open_device(name: &str) -> Result<Device> {
     let (backend, index) = name.split_once(':').map_or((name, None), |(backend, index)| (backend, Some(index)));
     match (backend, index) {
-        ("auto", None) => Ok(auto()),
+        ("auto", None) => auto(),
         ("flex", None) => flex(name),
         ("ndarray", None) => ndarray(name),
         ("wgpu", None) => wgpu(name),
@@ -132,19 +132,21 @@ fn is_real_gpu(device: &Device) -> bool {
     device.identity().is_some_and(|identity| identity.physical.is_some())
 }
 
-fn auto() -> Device {
+fn auto() -> Result<Device> {
     #[cfg(feature = "cuda")]
     if let Ok(device) = cuda("auto", None) {
-        return device;
+        return Ok(device);
     }
     #[cfg(feature = "wgpu")]
     if may_have_gpu()
         && let Some(device) = Device::enumerate(burn::tensor::DeviceType::Wgpu).into_iter().find(is_real_gpu)
     {
-        return device;
+        return Ok(device);
     }
     // Burn's training crate always brings flex along.
-    Device::flex()
+    #[cfg(feature = "flex")]
+    crate::kernels::Instructions::chosen()?;
+    Ok(Device::flex())
 }
 
 /// Linux shows a GPU as a device file. Without one nothing is probed: drivers that are installed on a

@@ -59,7 +59,8 @@ impl BatchLoader {
             .map_err(|error| failed(&error))?;
         let batch_bytes = training.micro_batch * reader.pair_bytes();
         let fitting = training.prefetch_mb.saturating_mul(1_000_000) / batch_bytes.max(1);
-        let (sender, batches) = sync_channel(fitting.clamp(1, training.prefetch));
+        // One more waits in the producer's hands.
+        let (sender, batches) = sync_channel(fitting.min(training.prefetch).saturating_sub(1));
         let thread = std::thread::Builder::new()
             .name("loader".to_owned())
             .spawn(move || {

@@ -70,3 +70,30 @@ impl Kernel for Step<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_instruction_set_takes_the_step_of_the_article() {
+        let (rate, beta_1, beta_2, epsilon) = (1e-3, 0.9, 0.999, 1e-8);
+        let value = |index: usize, scale: f64| (index as f64 * 0.7).sin() * scale;
+        for instructions in Instructions::available() {
+            let len = TASK + 5;
+            let start = |scale: f64| (0..len).map(|index| value(index, scale) as f32).collect::<Vec<f32>>();
+            let (mut weights, gradients) = (start(1.0), start(0.3));
+            let (mut moments_1, mut moments_2) = (vec![0.0; len], vec![0.0; len]);
+            for time in 1..=3 {
+                let factors = AdamFactors::new(rate, beta_1, beta_2, epsilon, time);
+                adam(instructions, factors, &mut weights, &gradients, &mut moments_1, &mut moments_2);
+            }
+            for (index, &weight) in weights.iter().enumerate() {
+                // With a constant gradient the corrected moments are g and g² at every step.
+                let gradient = f64::from(gradients[index]);
+                let expected = value(index, 1.0) - 3.0 * rate * gradient / (gradient.abs() + f64::from(epsilon));
+                assert!((f64::from(weight) - expected).abs() < 1e-6, "{}: {weight}, {expected}", instructions.name());
+            }
+        }
+    }
+}

@@ -14,7 +14,7 @@ pub(super) unsafe fn filled(len: usize, fill: impl FnOnce(Shared<'_>)) -> Vec<f3
     values
 }
 
-/// A buffer that threads share, each writing places no other thread touches.
+/// A buffer that threads share, each writing places no other thread touches. Writes outside it panic.
 #[derive(Clone, Copy)]
 pub(super) struct Shared<'a> {
     start: *mut f32,
@@ -22,33 +22,73 @@ pub(super) struct Shared<'a> {
     lifetime: PhantomData<&'a mut [f32]>,
 }
 
-// SAFETY: all access goes through `part` and `write`, whose callers promise disjoint places.
+// SAFETY: all access goes through the methods below, whose callers promise disjoint places.
 unsafe impl Send for Shared<'_> {}
 // SAFETY: as for `Send`.
 unsafe impl Sync for Shared<'_> {}
 
 impl Shared<'_> {
-    /// A stretch of the buffer, to write.
+    /// A stretch of the buffer, set to zero.
     ///
     /// # Safety
-    /// No other part that overlaps it is alive on any thread, and its values are written before they
-    /// are read.
+    /// Nobody else touches the stretch while this part of it is in use.
     #[inline(always)]
     #[allow(clippy::mut_from_ref, reason = "that is what sharing by disjoint parts means")]
-    pub unsafe fn part(&self, start: usize, len: usize) -> &mut [f32] {
-        debug_assert!(start + len <= self.len);
-        // SAFETY: the stretch lies inside the allocation, and the caller promises that nobody else has it.
-        unsafe { std::slice::from_raw_parts_mut(self.start.add(start), len) }
+    pub unsafe fn zeroed(&self, start: usize, len: usize) -> &mut [f32] {
+        let stretch = self.stretch(start, len);
+        // SAFETY: `stretch` checked that the places lie in the allocation; zero bytes are the float 0, so
+        // the slice is initialised; the caller promises that nobody else has it.
+        unsafe {
+            stretch.write_bytes(0, len);
+            std::slice::from_raw_parts_mut(stretch, len)
+        }
     }
 
-    /// Writes one value.
+    /// Writes values from `start` on.
     ///
     /// # Safety
-    /// `index` lies in the buffer, and no other thread touches it.
+    /// Nobody else touches these places.
     #[inline(always)]
-    pub unsafe fn write(&self, index: usize, value: f32) {
-        debug_assert!(index < self.len);
-        // SAFETY: promised by the caller.
-        unsafe { self.start.add(index).write(value) };
+    pub unsafe fn write(&self, start: usize, values: impl ExactSizeIterator<Item = f32>) {
+        let stretch = self.stretch(start, values.len());
+        for (index, value) in values.enumerate().take(self.len - start) {
+            // SAFETY: `take` keeps the index inside the allocation; the place is the caller's alone.
+            unsafe { stretch.add(index).write(value) };
+        }
+    }
+
+    /// Writes values `step` apart, from `start` on.
+    ///
+    /// # Safety
+    /// Nobody else touches these places.
+    #[inline(always)]
+    pub unsafe fn write_every(&self, step: usize, start: usize, values: &[f32]) {
+        let Some(last) = values.len().checked_sub(1) else { return };
+        let stretch = self.stretch(start, last * step + 1);
+        for (index, &value) in values.iter().enumerate() {
+            // SAFETY: `stretch` checked the last of these places; the caller has them alone.
+            unsafe { stretch.add(index * step).write(value) };
+        }
+    }
+
+    /// Writes each value to its place in the stretch of `len` values from `start` on.
+    ///
+    /// # Safety
+    /// Nobody else touches these places.
+    #[inline(always)]
+    pub unsafe fn scatter(&self, start: usize, len: usize, places: &[usize], values: &[f32]) {
+        let stretch = self.stretch(start, len);
+        for (&place, &value) in places.iter().zip(values) {
+            assert!(place < len, "a place outside the stretch");
+            // SAFETY: asserted; the caller has the place alone.
+            unsafe { stretch.add(place).write(value) };
+        }
+    }
+
+    #[inline(always)]
+    fn stretch(&self, start: usize, len: usize) -> *mut f32 {
+        assert!(start <= self.len && len <= self.len - start, "a part outside the buffer");
+        // SAFETY: asserted above.
+        unsafe { self.start.add(start) }
     }
 }

@@ -58,6 +58,7 @@ impl Kernel for WeightedRows<'_> {
                     let factor = simd.splat_f32s(factor);
                     let (row, _) = S::as_simd_f32s(row);
                     for (sum, &value) in vectors.iter_mut().zip(row) {
+                        // The weights come from memory: a fused operation would gain nothing here.
                         *sum = simd.add_f32s(simd.mul_f32s(factor, value), *sum);
                     }
                 }

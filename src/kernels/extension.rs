@@ -93,14 +93,9 @@ fn owned(tensor: FlexTensor) -> FlexTensor {
 impl Layers for Flex {
     fn convolution(input: FlexTensor, weight: FlexTensor, bias: FlexTensor, shape: ConvolutionShape) -> FlexTensor {
         let (input, weight, bias) = (contiguous(input), contiguous(weight), contiguous(bias));
+        let [input, weight, bias] = [&input, &weight, &bias].map(values);
+        let output = convolution::convolution(Instructions::current(), shape, input, weight, Some(bias));
         let [rows, columns] = shape.output_size();
-        let output = convolution::convolution(
-            Instructions::current(),
-            shape,
-            values(&input),
-            values(&weight),
-            Some(values(&bias)),
-        );
         tensor(output, [shape.batch, shape.outputs, rows, columns])
     }
 

@@ -11,11 +11,11 @@ use crate::error::{Error, Result};
 /// Environment variable that forces an instruction set, for tests and for hunting wrong results:
 /// `avx512`, `avx2`, `neon` or `portable`; `burn` for Burn's own operations in place of the kernels.
 /// Default: the widest this processor has.
-pub const INSTRUCTIONS_VARIABLE: &str = "RELCOV_INSTRUCTIONS";
+const INSTRUCTIONS_VARIABLE: &str = "RELCOV_INSTRUCTIONS";
 
 /// Vector instructions that were found on this processor.
 #[derive(Clone, Copy, Debug)]
-pub enum Instructions {
+pub(crate) enum Instructions {
     /// 16 lanes.
     #[cfg(target_arch = "x86_64")]
     Avx512(pulp::x86::V4),
@@ -30,7 +30,7 @@ pub enum Instructions {
 }
 
 /// A kernel that is generic over the instruction set.
-pub trait Kernel {
+pub(super) trait Kernel {
     /// What it returns.
     type Output;
 
@@ -63,8 +63,7 @@ impl Instructions {
         chosen.clone().map_err(|problem| Error::Device { name: "flex".to_owned(), problem })
     }
 
-    /// As [`Instructions::chosen`], or the widest where that is an error; devices are opened through
-    /// [`crate::device::open_device`], which reports it.
+    /// As [`Instructions::chosen`] where kernels run at all: nothing reaches them otherwise.
     pub(super) fn current() -> Self {
         Self::chosen().ok().flatten().unwrap_or_else(|| Self::available()[0])
     }

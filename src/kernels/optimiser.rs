@@ -14,11 +14,18 @@ pub struct Adam {
 }
 
 impl Adam {
-    /// With Adam's usual decay of moments, .9 and .999.
-    pub fn new(epsilon: f32) -> Self {
-        let (beta_1, beta_2) = (0.9, 0.999);
+    /// With the constants of the article and of PyTorch: moments decay by .9 and .999, ε is 1e-8
+    /// (Burn's default is 1e-5).
+    pub fn new() -> Self {
+        let (beta_1, beta_2, epsilon) = (0.9, 0.999, 1e-8);
         let stock = AdamConfig::new().with_beta_1(beta_1).with_beta_2(beta_2).with_epsilon(epsilon).build();
         Self { beta_1, beta_2, epsilon, stock }
+    }
+}
+
+impl Default for Adam {
+    fn default() -> Self {
+        Self::new()
     }
 }
 
@@ -33,7 +40,7 @@ impl Optimizer for Adam {
         state: Option<AdamState<D>>,
     ) -> (Tensor<D>, Option<AdamState<D>>) {
         #[cfg(feature = "flex")]
-        if super::flex::plain(&tensor) && super::flex::plain(&gradient) {
+        if super::flex::takes_without_gradients(&tensor) && super::flex::takes_without_gradients(&gradient) {
             let momentum = state.map(|state| state.momentum).unwrap_or_else(|| {
                 AdaptiveMomentumState::new(0, Tensor::zeros_like(&tensor), Tensor::zeros_like(&tensor))
             });
@@ -62,7 +69,7 @@ mod tests {
         let device = Device::flex();
         device.seed(3);
         let random = || Tensor::<2>::random([37, 1003], Distribution::Normal(0.0, 0.1), &device);
-        let (ours, start) = (Adam::new(1e-8), random());
+        let (ours, start) = (Adam::new(), random());
         let (mut weight, mut stock_weight) = (start.clone(), start);
         let (mut state, mut stock_state) = (None, None);
         for step in 0..20 {

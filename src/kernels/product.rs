@@ -20,14 +20,15 @@ const PANEL: usize = 48;
 const CHUNK: usize = 16;
 /// Values that must follow the last one of a right operand, so that whole chunks can be read.
 pub(super) const SLACK: usize = CHUNK;
-/// Most rows, columns and terms of a tile: a packed panel set and a tile of C each take 245 kB and
-/// share the second-level cache with the rows of A.
+/// Most rows, columns and terms of a tile: its packed panels (330 kB) and its part of C (250 kB) share
+/// the second-level cache with the rows of A.
 const TILE_ROWS: usize = 256;
 const TILE_COLUMNS: usize = 5 * PANEL;
 const TILE_TERMS: usize = 256;
-/// Fewest rows for which packing a panel pays when work is cut for the threads.
+/// Rows below which a tile is cut for the threads only when there are fewer tiles than threads: each tile
+/// packs its panels anew, which its rows must pay for.
 const MIN_SHARED_ROWS: usize = 128;
-/// Rows that are multiplied at once, with 32 and with 16 vector registers.
+/// With so many vector registers, 8 rows times 3 vectors are summed at once, else 6 times 2.
 const MANY_REGISTERS: usize = 32;
 
 /// The left operand: `A[m, k] = values[m · row_stride + offsets[k]]`.
@@ -127,8 +128,9 @@ pub(super) fn parts(rows: usize, columns: usize, terms: usize) -> usize {
 
 /// Computes the product and hands over each finished tile, on several threads at once.
 ///
-/// The sum over k is cut into `parts`, which come as tiles of their own. Every value is summed in the
-/// same order whatever the number of threads.
+/// The sum over k is cut into `parts`, which come as tiles of their own. Each value of each part is handed
+/// over exactly once, and summed in the same order whatever the number of threads. `store` must not wait
+/// for other parallel work: it holds its thread's scratch memory.
 pub(super) fn product(
     instructions: Instructions,
     left: Left,
@@ -182,13 +184,16 @@ fn steps(rows: usize, columns: usize, threads: usize) -> (usize, usize) {
     (row_step, column_step)
 }
 
+/// Vectors that begin with a cache line are read fastest.
 const LINE_BYTES: usize = 64;
+/// Values from one term of a packed panel to the next: whole chunks may reach beyond the panel.
 const TERM: usize = PANEL + CHUNK;
+/// Values of a tile's packed panels.
 const PACKED: usize = TILE_COLUMNS / PANEL * TILE_TERMS * TERM;
 
 thread_local! {
     /// Packed panels, then the tile of C; kept, so that no step allocates.
-    static SCRATCH: RefCell<Vec<f32>> = RefCell::new(vec![0.0; PACKED + TILE_ROWS * TILE_COLUMNS + LINE_BYTES]);
+    static SCRATCH: RefCell<Vec<f32>> = RefCell::new(vec![0.0; PACKED + TILE_ROWS * TILE_COLUMNS + LINE_BYTES / size_of::<f32>()]);
 }
 
 struct TileKernel<'a> {
@@ -246,9 +251,12 @@ impl Kernel for TileKernel<'_> {
 #[inline(always)]
 fn pack(right: &Right, runs: &[Run], terms: Range<usize>, packed: &mut [f32]) {
     assert!(terms.len() * TERM <= packed.len());
+    // A chunk that reaches beyond its run is overwritten by the next run, or lies between two terms.
     for run in runs {
         for done in (0..run.len as usize).step_by(CHUNK) {
             for (index, &offset) in right.offsets[terms.clone()].iter().enumerate() {
+                // SAFETY: `Right::new` checked positions and offsets, with a chunk to spare, against `values`;
+                // a run ends at column `PANEL` at most, so its last chunk ends within the term (asserted above).
                 unsafe {
                     let from = right.values.as_ptr().add(offset as usize + run.position + done);
                     let to = packed.as_mut_ptr().add(index * TERM + run.column as usize + done);
@@ -299,11 +307,11 @@ fn multiply<S: Simd>(simd: S, height: usize, vectors: usize, mut operands: Opera
     assert!(operands.row + height <= operands.left.rows);
     assert!(operands.terms.len() * TERM <= operands.panel.len());
     assert!((height - 1) * operands.stride + PANEL <= operands.output.len());
+    assert!(vectors * S::F32_LANES <= PANEL);
     let together = if many_registers::<S>() { 3 } else { 2 };
     for first in (0..vectors).step_by(together) {
         let at = first * S::F32_LANES;
-        // SAFETY: the three assertions above bound rows, panel and output; a panel holds
-        // `PANEL / F32_LANES` vectors, a multiple of three, so `at` and three vectors stay inside.
+        // SAFETY: the assertions above bound rows, panel, output and columns.
         unsafe {
             match (height, (vectors - first).min(together)) {
                 (8, 3) => block::<S, 8, 3>(simd, &mut operands, at),
@@ -334,10 +342,10 @@ unsafe fn block<S: Simd, const ROWS: usize, const VECTORS: usize>(simd: S, opera
     let Operands { left, row, ref terms, panel, ref mut output, stride, accumulate } = *operands;
     let lanes = S::F32_LANES;
     let mut sums = [[simd.splat_f32s(0.0); VECTORS]; ROWS];
-    // SAFETY: promised by the caller; `Left::new` checked rows and offsets against the values.
+    // SAFETY: promised by the caller; `Left::new` checked rows and offsets against its values.
     unsafe {
         let first_row = left.values.as_ptr().add(row * left.row_stride);
-        for (index, &offset) in left.offsets.get_unchecked(terms.clone()).iter().enumerate() {
+        for (index, &offset) in left.offsets[terms.clone()].iter().enumerate() {
             let a = first_row.add(offset as usize);
             let b = panel.as_ptr().add(index * TERM + at);
             let columns: [S::f32s; VECTORS] =

@@ -4,13 +4,13 @@ use super::convolution::ConvolutionShape;
 
 /// Output, gradient of the input and gradient of the weights, each beside the sum of the sizes of its
 /// terms, which bounds what f32 may round away.
-pub struct Reference {
+pub(super) struct Reference {
     pub output: Vec<[f64; 2]>,
     pub input_gradient: Vec<[f64; 2]>,
     pub weight_gradient: Vec<[f64; 2]>,
 }
 
-pub fn reference(shape: ConvolutionShape, input: &[f32], weight: &[f32], gradient: &[f32]) -> Reference {
+pub(super) fn reference(shape: ConvolutionShape, input: &[f32], weight: &[f32], gradient: &[f32]) -> Reference {
     let [rows, columns] = shape.output_size();
     let mut result = Reference {
         output: vec![[0.0; 2]; shape.output_len()],

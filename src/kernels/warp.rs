@@ -38,7 +38,7 @@ pub(super) struct WarpInput<'a> {
 pub(super) fn warp(instructions: Instructions, input: WarpInput) -> (Vec<f32>, Vec<f32>) {
     let [batch, channels, height, width] = input.shape;
     let plane = height * width;
-    assert!(height > 1 && width > 1, "warp: at least 2x2 pixels");
+    assert!(height > 1 && width > 1 && u32::try_from(plane).is_ok(), "warp: 2x2 to 2^32 pixels");
     assert_eq!(input.source_image.len(), batch * channels * plane, "warp: source image");
     assert_eq!(input.target_depth.len(), batch * plane, "warp: target depth");
     assert_eq!((input.intrinsics.len(), input.source_from_target.len()), (4 * batch, 16 * batch), "warp: cameras");
@@ -50,13 +50,13 @@ pub(super) fn warp(instructions: Instructions, input: WarpInput) -> (Vec<f32>, V
                 |taps, line| {
                     let (index, row) = (line / height, line % height);
                     // SAFETY: each line of the mask is one task's.
-                    let valid = unsafe { mask.part(line * width, width) };
+                    let valid = unsafe { mask.zeroed(line * width, width) };
                     let depth = &input.target_depth[line * width..][..width];
                     instructions.run(ProjectRow { input, index, row, depth, taps, valid });
                     for channel in index * channels..(index + 1) * channels {
                         let source = &input.source_image[channel * plane..][..plane];
                         // SAFETY: each line of each channel is one task's.
-                        let output = unsafe { image.part(channel * plane + row * width, width) };
+                        let output = unsafe { image.zeroed(channel * plane + row * width, width) };
                         instructions.run(SampleRow { source, width, taps, valid, output });
                     }
                 },

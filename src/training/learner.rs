@@ -28,8 +28,6 @@ use crate::kernels::Adam;
 use crate::model::{Architecture, CovarianceModel, MicroBatch};
 use crate::systems::Mixer;
 
-/// Adam's ε: PyTorch's, as the paper's program had it (Burn's default is 1e-5).
-const ADAM_EPSILON: f32 = 1e-8;
 /// Longest time between two saved states, so that a killed run loses little.
 const SAVE_EVERY: Duration = Duration::from_secs(600);
 
@@ -103,7 +101,8 @@ pub struct Learner {
     device: Device,
     architecture: Architecture,
     run: RunFolder,
-    /// Absent only while the optimiser has it: nobody else may hold the weights it changes in place.
+    /// Absent only while the optimiser or the loading of a state has it: nobody else may hold the weights
+    /// that a step changes in place.
     model: Option<CovarianceModel>,
     optimiser: ModuleOptimizer,
     history: History,
@@ -168,7 +167,7 @@ impl Learner {
         let run = open(&config.run_folder())?;
         device.seed(config.seed);
         let model = manifest.architecture.init(manifest.initial_log_variance, &device.clone().autodiff());
-        let optimiser = Adam::new(ADAM_EPSILON).into();
+        let optimiser = Adam::new().into();
         Ok(Self {
             reader: Arc::new(PairReader::new(&config, &dataset, SplitName::Train)),
             watched_reader: Arc::new(PairReader::new(&config, &dataset, watched)),
@@ -196,7 +195,7 @@ impl Learner {
     }
 
     fn model(&self) -> &CovarianceModel {
-        self.model.as_ref().expect("only a step takes it")
+        self.model.as_ref().expect("put back by whoever took it")
     }
 
     /// Frames that could not be read so far, of the training pairs and the watched ones.

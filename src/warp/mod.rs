@@ -61,6 +61,10 @@ impl Warp {
         intrinsics: Tensor<2>,
         source_from_target: Tensor<3>,
     ) -> Warped {
+        let [batch, _, height, width] = source_image.dims();
+        assert_eq!(target_depth.dims(), [batch, 1, height, width], "target_depth: [batch, 1, height, width]");
+        assert_eq!(intrinsics.dims(), [batch, 4], "intrinsics: [batch, 4]");
+        assert_eq!(source_from_target.dims(), [batch, 4, 4], "source_from_target: [batch, 4, 4]");
         let validity = Validity { min_depth_m: MIN_DEPTH_M, border_tolerance_px: BORDER_TOLERANCE_PX };
         if let Some((image, valid_mask)) =
             kernels::warp(&source_image, &target_depth, &intrinsics, &source_from_target, validity)

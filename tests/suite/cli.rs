@@ -296,8 +296,11 @@ fn a_configuration_error_names_its_key() {
 #[test]
 fn unknown_instructions_are_named_before_anything_is_read() {
     let made = Made::new();
-    let found = made.train(&[]).env("RELCOV_INSTRUCTIONS", "mmx").assert().code(1);
-    found.stderr(contains("RELCOV_INSTRUCTIONS").and(contains("`mmx`")).and(contains("portable")));
+    for device in ["flex", "auto"] {
+        let mut train = made.train(&[]);
+        let found = train.args(["--device", device]).env("RELCOV_INSTRUCTIONS", "mmx").assert().code(1);
+        found.stderr(contains("RELCOV_INSTRUCTIONS").and(contains("`mmx`")).and(contains("portable")));
+    }
 }
 
 #[test]

@@ -153,7 +153,7 @@ fn pixels_behind_the_camera_or_without_depth_are_invalid_and_finite() {
     }
 }
 
-/// Two roads to one number: on flex `forward` is one pass over the pixels, `project` and `sample` are
+/// Two roads to one number (unless RELCOV_INSTRUCTIONS=burn makes them one): on flex `forward` is one pass over the pixels, `project` and `sample` are
 /// Burn's operations.
 #[test]
 fn the_warp_in_one_pass_agrees_with_the_warp_in_steps() {

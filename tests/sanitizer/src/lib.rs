@@ -18,6 +18,7 @@ mod kernels {
     mod convolution;
     mod dense;
     mod instructions;
+    mod layouts;
     mod product;
     #[cfg(test)]
     mod reference;
