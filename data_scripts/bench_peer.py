@@ -36,11 +36,11 @@ PAGE = ROOT / "docs" / "performance.md"
 
 # Mode, height, width, batch, runs in a process, aimed ratio to PyTorch's time.
 CASES = [
-    ("train", 96, 320, 8, 9, 0.70),
-    ("train", 192, 640, 4, 5, 0.65),
-    ("forward", 96, 320, 1, 60, 0.85),
-    ("forward", 192, 640, 1, 30, 0.85),
-    ("forward", 320, 1024, 1, 15, 0.85),
+    ("train", 96, 320, 8, 6, 0.70),
+    ("train", 192, 640, 4, 4, 0.65),
+    ("forward", 96, 320, 1, 40, 0.85),
+    ("forward", 192, 640, 1, 20, 0.85),
+    ("forward", 320, 1024, 1, 10, 0.85),
     ("warp", 160, 512, 8, 40, 0.50),
 ]
 # Mode, height, width, batch, runs, threads; None: all of them.
@@ -194,20 +194,30 @@ def median_of(results):
     }
 
 
-def side_by_side(binary, case, rounds, threads=None, stock=True):
-    """relcov, PyTorch ("torch": default Adam, "fused": fused Adam) and, on request, Burn's flex, in turn."""
+LAYOUTS = ["contiguous", "channels_last"]
+
+
+def side_by_side(binary, case, rounds):
+    """relcov, PyTorch ("torch": default Adam, "fused": fused Adam) and Burn's flex, in turn."""
     mode = case[0]
-    sides = {("relcov", ""): lambda: relcov(binary, *case, threads=threads)}
+    sides = {("relcov", ""): lambda: relcov(binary, *case), ("stock", ""): lambda: relcov(binary, *case, instructions="burn")}
     for adam in ["default", "fused"] if mode == "train" else ["default"]:
-        for layout in ["contiguous"] if mode == "warp" else ["contiguous", "channels_last"]:
+        for layout in LAYOUTS[:1] if mode == "warp" else LAYOUTS:
             side = "torch" if adam == "default" else "fused"
-            sides[side, layout] = lambda layout=layout, adam=adam: torch_worker(*case, threads=threads, layout=layout, adam=adam)
-    if stock:
-        sides["stock", ""] = lambda: relcov(binary, *case, threads=threads, instructions="burn")
+            sides[side, layout] = lambda layout=layout, adam=adam: torch_worker(*case, layout=layout, adam=adam)
+    return best_of(take_turns(sides, rounds))
+
+
+def take_turns(sides, rounds):
     results = {side: [] for side in sides}
     for _ in range(rounds):
         for side, measure in sides.items():
             results[side].append(measure())
+    return results
+
+
+def best_of(results):
+    """The faster layout of each side."""
     best = {}
     for (side, _), found in results.items():
         found = median_of(found)
@@ -271,12 +281,14 @@ def main_table(binary, rounds, only):
 
 
 def scaling_table(binary, rounds):
-    heads = ["case", "threads", "PyTorch with fused Adam, ms", "relcov, ms", "relcov / PyTorch", "relcov, ms a pair",
+    heads = ["case", "threads", "PyTorch (channels last, fused Adam), ms", "relcov, ms", "relcov / PyTorch", "relcov, ms a pair",
              "memory: PyTorch, MB", "relcov, MB"]
     lines = [row(heads), "|---" * len(heads) + "|"]
     for *case, threads in SCALING:
-        found = side_by_side(binary, case, rounds, threads, stock=False)
-        ours, torch = found["relcov"], found.get("fused", found["torch"])
+        sides = {"relcov": lambda: relcov(binary, *case, threads=threads),
+                 "torch": lambda: torch_worker(*case, threads=threads, layout="channels_last", adam="fused")}
+        found = {side: median_of(found) for side, found in take_turns(sides, rounds).items()}
+        ours, torch = found["relcov"], found["torch"]
         lines.append(row([
             label(*case[:4]), str(threads or cores()), ms(torch["median_ms"]), ms(ours["median_ms"]),
             f"{ours['median_ms'] / torch['median_ms']:.2f}", ms(ours["median_ms"] / case[3]),
@@ -286,14 +298,13 @@ def scaling_table(binary, rounds):
     return lines
 
 
-def gpu_table(devices, torch_device, rounds):
-    """Training and forward at the paper's size and batch, on a GPU: relcov's devices, PyTorch f32 and bf16."""
-    features = ",".join(device.split(":")[0] for device in devices)
-    binary = build("--features", features)
+def gpu_table(devices, torch_device, rounds, shape):
+    """Training, forward and warp on a GPU: relcov's devices, PyTorch f32 and bf16."""
+    binary = build("--features", ",".join(device.split(":")[0] for device in devices))
     heads = ["case", *(f"relcov {device}, ms" for device in devices), "PyTorch f32, ms", "PyTorch bf16, ms"]
     lines = [row(heads), "|---" * len(heads) + "|"]
     for mode, runs in [("train", 10), ("forward", 20), ("warp", 20)]:
-        case = (mode, 160, 512, 84, runs)
+        case = (mode, *shape, runs)
         sides = [lambda device=device: relcov(binary, *case, device=device) for device in devices]
         # The warp has no layer that autocast knows.
         sides += [lambda precision=precision: torch_worker(*case, layout="channels_last", adam="fused", device=torch_device, precision=precision)
@@ -340,14 +351,16 @@ def main():
         mode, *numbers = sys.argv[2:7]
         return torch_measurement(mode, *map(int, numbers), *sys.argv[7:11])
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rounds", type=int, default=3, help="turns of each side (default 3)")
+    parser.add_argument("--rounds", type=int, default=4, help="turns of each side (default 4)")
     parser.add_argument("--only", help="measure the lines whose name holds this, and print only")
     parser.add_argument("--no-scaling", action="store_true", help="leave the scaling table as it is")
     parser.add_argument("--gpu", nargs="+", metavar="DEVICE", help="devices of relcov to compare with PyTorch on a GPU")
     parser.add_argument("--torch-device", default="cuda", choices=["cuda", "cpu"], help="PyTorch's device for --gpu (default cuda)")
+    parser.add_argument("--gpu-shape", nargs=3, type=int, default=[160, 512, 84], metavar=("HEIGHT", "WIDTH", "BATCH"),
+                        help="for --gpu (default 160 512 84, the size and batch of the paper)")
     arguments = parser.parse_args()
     if arguments.gpu:
-        return gpu_table(arguments.gpu, arguments.torch_device, arguments.rounds)
+        return gpu_table(arguments.gpu, arguments.torch_device, arguments.rounds, arguments.gpu_shape)
     if not arguments.only:
         check_page(["machine", "comparison", "scaling"])
     binary = build()
@@ -356,7 +369,7 @@ def main():
         return
     tables = {"comparison": main_lines}
     if not arguments.no_scaling:
-        tables["scaling"] = scaling_table(binary, max(1, arguments.rounds - 1))
+        tables["scaling"] = scaling_table(binary, max(1, arguments.rounds // 2))
     tables["machine"] = [
         f"{processor()}, {cores()} cores, {platform.system()}; PyTorch {version}, "
         f"relcov {json.loads(subprocess.check_output(['cargo', 'metadata', '--no-deps', '--format-version=1'], cwd=ROOT))['packages'][0]['version']}; "

@@ -44,16 +44,16 @@ impl Shared<'_> {
         }
     }
 
-    /// Writes values from `start` on.
+    /// Writes values plus a constant from `start` on.
     ///
     /// # Safety
     /// Nobody else touches these places.
     #[inline(always)]
-    pub unsafe fn write(&self, start: usize, values: impl ExactSizeIterator<Item = f32>) {
+    pub unsafe fn write_sum(&self, start: usize, values: &[f32], constant: f32) {
         let stretch = self.stretch(start, values.len());
-        for (index, value) in values.enumerate().take(self.len - start) {
-            // SAFETY: `take` keeps the index inside the allocation; the place is the caller's alone.
-            unsafe { stretch.add(index).write(value) };
+        for (index, value) in values.iter().enumerate() {
+            // SAFETY: `stretch` checked as many places as there are values; the caller has them alone.
+            unsafe { stretch.add(index).write(value + constant) };
         }
     }
 

@@ -112,7 +112,7 @@ pub(super) fn convolution(
                     let values = &tile.row(channel)[column - tile.columns.start..][..len];
                     let start = (image * shape.outputs + channel) * plane + pixel;
                     // SAFETY: channel and pixels belong to this tile alone.
-                    unsafe { output.write(start, values.iter().map(|value| value + bias)) };
+                    unsafe { output.write_sum(start, values, bias) };
                 }
             }
         });

@@ -37,10 +37,10 @@ impl Phases {
             // SAFETY: the slack belongs to no channel.
             unsafe { values.zeroed(len, SLACK) };
             input.par_chunks(shape.input_plane()).enumerate().for_each(|(index, pixels)| {
-                // SAFETY: each channel of each image is one task's.
-                let phase_rows = unsafe { values.zeroed(index * channel, channel) }.chunks_exact_mut(columns);
-                for (index, row) in phase_rows.enumerate() {
-                    let (phase, row_index) = (index / rows, index % rows);
+                for line in 0..channel / columns {
+                    // SAFETY: each channel of each image is one task's.
+                    let row = unsafe { values.zeroed(index * channel + line * columns, columns) };
+                    let (phase, row_index) = (line / rows, line % rows);
                     let (phase_v, phase_u) = (phase / phases[1], phase % phases[1]);
                     let v = (row_index * stride_v + phase_v).checked_sub(shape.padding[0]);
                     if let Some(v) = v.filter(|&v| v < shape.size[0]) {
