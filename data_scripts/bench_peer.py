@@ -5,7 +5,7 @@
 # ///
 """Times relcov beside PyTorch, on this machine, in one run, and writes docs/performance.md.
 
-    uv run data_scripts/bench_peer.py                        # everything; about 25 minutes on 2 cores
+    uv run data_scripts/bench_peer.py                        # everything; about 20 minutes on 2 cores
     uv run data_scripts/bench_peer.py --only forward         # lines whose name holds a word; prints only
     uv run data_scripts/bench_peer.py --gpu vulkan cuda      # PyTorch CUDA beside these devices of relcov;
                                                              # writes docs/results/gpu.md
@@ -368,12 +368,13 @@ def main():
     if arguments.only:
         return
     tables = {"comparison": main_lines}
+    scaling_rounds = max(1, arguments.rounds // 2)
     if not arguments.no_scaling:
-        tables["scaling"] = scaling_table(binary, max(1, arguments.rounds // 2))
+        tables["scaling"] = scaling_table(binary, scaling_rounds)
     tables["machine"] = [
         f"{processor()}, {cores()} cores, {platform.system()}; PyTorch {version}, "
         f"relcov {json.loads(subprocess.check_output(['cargo', 'metadata', '--no-deps', '--format-version=1'], cwd=ROOT))['packages'][0]['version']}; "
-        f"{datetime.date.today().isoformat()}. Medians of {arguments.rounds} rounds; memory is the peak over that before the network was built."
+        f"{datetime.date.today().isoformat()}. Medians of {arguments.rounds} rounds (scaling: {scaling_rounds}); memory is the peak over that before the network was built."
     ]
     write_page(tables)
 

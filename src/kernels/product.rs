@@ -163,8 +163,8 @@ pub(super) fn product(
     });
 }
 
-/// Rows and columns of a tile: enough tiles for the threads, cutting rows first, because columns cost
-/// nothing to cut only while a panel is full.
+/// Rows and columns of a tile: enough tiles for the threads, cutting rows first, because packing a panel
+/// twice costs less than leaving one half empty.
 fn steps(rows: usize, columns: usize, threads: usize) -> (usize, usize) {
     let wanted = 4 * threads;
     let even = |size: usize, pieces: usize, unit: usize| size.div_ceil(pieces).next_multiple_of(unit);
@@ -247,7 +247,7 @@ impl Kernel for TileKernel<'_> {
     }
 }
 
-/// Copies the columns of a panel, term by term, each term `PANEL` values after the one before.
+/// Copies the columns of a panel, each term `TERM` values after the one before.
 #[inline(always)]
 fn pack(right: &Right, runs: &[Run], terms: Range<usize>, packed: &mut [f32]) {
     assert!(terms.len() * TERM <= packed.len());
