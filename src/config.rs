@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::geometry::ErrorFrame;
 use crate::model::InputBasis;
+use crate::synthetic::SyntheticSettings;
 
 /// Environment variable that overrides `data.root`.
 pub const DATA_ROOT_VARIABLE: &str = "RELCOV_DATA_ROOT";
@@ -57,6 +58,9 @@ pub struct Config {
 pub struct DataConfig {
     /// Folder in the KITTI raw layout: `DATE/DRIVE/{image_02,oxts,…}` and `DATE/calib_*.txt`.
     pub root: PathBuf,
+    /// A synthetic data set to render at `root` when it is not there. Default: none, the data are there.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub synthetic: Option<SyntheticSettings>,
     /// Axes of errors and covariances. Default: vehicle.
     #[serde(default)]
     pub error_frame: ErrorFrame,

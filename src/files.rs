@@ -51,6 +51,18 @@ pub(crate) fn put_in_place(temporary: &Path, path: &Path) -> Result<()> {
     std::fs::rename(temporary, path).map_err(Error::io("rename into place", path))
 }
 
+/// Writes a file under a partial name and renames it, without waiting for the disk: for many small
+/// files that can be made again.
+///
+/// # Errors
+/// It cannot be written; a file of that name stays as it was.
+pub(crate) fn write_renamed(path: &Path, bytes: &[u8]) -> Result<()> {
+    let mut partial = path.as_os_str().to_owned();
+    partial.push(".partial");
+    std::fs::write(&partial, bytes).map_err(Error::io("write", path))?;
+    std::fs::rename(&partial, path).map_err(Error::io("rename into place", path))
+}
+
 /// A temporary file that, unlike most, is as readable as any other new file: results are to be shared.
 fn temporary_in(folder: &Path) -> std::io::Result<NamedTempFile> {
     let mut builder = tempfile::Builder::new();

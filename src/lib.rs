@@ -34,6 +34,7 @@ pub mod model;
 pub mod network;
 mod predict;
 pub mod report;
+pub mod synthetic;
 pub mod systems;
 pub mod training;
 pub mod warp;

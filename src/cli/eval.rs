@@ -6,11 +6,11 @@ use std::sync::Arc;
 use clap::{Args, ValueEnum};
 
 use super::progress::{Progress, note};
-use super::{Overrides, Terminal, print_result};
+use super::{Overrides, Terminal, print_result, synth};
 use crate::data::{Dataset, PairReader, PairScope, SplitName};
 use crate::device::{device_name, open_device};
 use crate::error::Error;
-use crate::evaluation::{MethodName, evaluate_run, predict_split, write_results};
+use crate::evaluation::{MethodName, evaluate_run, perturbation_response, predict_split, write_results};
 use crate::report::mde_table;
 use crate::training::RunFolder;
 
@@ -75,6 +75,7 @@ pub fn evaluate(
         .into());
     }
     let device = open_device(&config.device)?;
+    synth::make_if_asked(&config, terminal)?;
     let dataset = Dataset::load(&config, PairScope::Images)?;
     let pairs = dataset.require(split)?;
     let reader = Arc::new(PairReader::new(&config, &dataset, split));
@@ -87,8 +88,13 @@ pub fn evaluate(
     })?;
     drop(progress);
     let bad_frames = reader.bad_frames();
-    let evaluation =
+    let mut evaluation =
         evaluate_run(&predictions, &dataset, &manifest, run_path, split, device_name(&device), &bad_frames)?;
+    let first = manifest.systems.iter().find(|summary| summary.name == dataset.systems[0]);
+    if let Some(constant) = first.map(|summary| summary.mean_squared_error).filter(|variance| variance.iter().all(|&v| v > 0.0)) {
+        let scale = (manifest.conventions.error_frame, constant);
+        evaluation.perturbation_response = perturbation_response(&model, &reader, &dataset, pairs, scale, &device)?;
+    }
     // The table first: a folder that cannot be written must not cost it.
     print_result(&mde_table(&evaluation))?;
     for (system, results) in &evaluation.systems {

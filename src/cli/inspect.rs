@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 use comfy_table::{CellAlignment, Table, presets};
 
-use super::print_result;
+use super::{Terminal, print_result, synth};
 use crate::config::Config;
 use crate::data::{Coverage, Dataset, PairScope, SplitName};
 
@@ -23,8 +23,9 @@ pub struct InspectArguments {
     set: Vec<String>,
 }
 
-pub fn run(arguments: InspectArguments) -> anyhow::Result<()> {
+pub fn run(arguments: InspectArguments, terminal: &Terminal) -> anyhow::Result<()> {
     let config = Config::load(&arguments.config, &arguments.set)?;
+    synth::make_if_asked(&config, terminal)?;
     let dataset = Dataset::load(&config, PairScope::Images)?;
     print_result(&describe(&config, &dataset))
 }

@@ -5,6 +5,7 @@
 mod eval;
 mod inspect;
 mod progress;
+mod synth;
 mod train;
 
 use std::io::IsTerminal;
@@ -44,6 +45,8 @@ enum Command {
     Eval(eval::EvalArguments),
     /// Show what a configuration finds: drives, frames, pairs, systems, depth, problems
     Inspect(inspect::InspectArguments),
+    /// Render a synthetic street world in the KITTI raw layout, with systems of known covariance
+    Synth(synth::SynthArguments),
 }
 
 /// Arguments that change a configuration.
@@ -79,7 +82,8 @@ pub fn run() -> ExitCode {
     let outcome = match arguments.command {
         Command::Train(arguments) => train::run(arguments, &terminal),
         Command::Eval(arguments) => eval::run(arguments, &terminal),
-        Command::Inspect(arguments) => inspect::run(arguments),
+        Command::Inspect(arguments) => inspect::run(arguments, &terminal),
+        Command::Synth(arguments) => synth::run(&arguments, &terminal),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,

@@ -8,7 +8,7 @@ use anyhow::Context;
 use clap::Args;
 
 use super::progress::{Progress, note};
-use super::{Overrides, Terminal, eval};
+use super::{Overrides, Terminal, eval, synth};
 use crate::data::{Dataset, PairScope, SplitName};
 use crate::device::{device_name, is_slow_to_train, open_device};
 use crate::error::Error;
@@ -86,6 +86,7 @@ fn prepare(arguments: &TrainArguments, terminal: &Terminal) -> anyhow::Result<Le
             "ndarray trains this network some 20 times slower than flex; --device flex is the fast CPU backend"
         );
     }
+    synth::make_if_asked(&config, terminal)?;
     let dataset = Arc::new(Dataset::load(&config, PairScope::Images)?);
     for split in [&dataset.train, &dataset.validation, &dataset.test] {
         let counts: Vec<String> =

@@ -26,7 +26,9 @@ pub(super) fn merge(
     for key in PATH_KEYS {
         anchor(&mut table, key, folder);
     }
-    if let Some(root) = data_root {
+    // A synthetic data set is made where the configuration says, not among recorded ones.
+    let recorded = !table.get("data").and_then(Value::as_table).is_some_and(|data| data.contains_key("synthetic"));
+    if let Some(root) = data_root.filter(|_| recorded) {
         assign(&mut table, "data.root", Value::String(root.display().to_string()))?;
         anchor(&mut table, "data.root", Path::new(""));
     }

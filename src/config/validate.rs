@@ -24,6 +24,9 @@ impl Config {
     }
 
     fn validate_data(&self) -> Result<()> {
+        if let Some(synthetic) = &self.data.synthetic {
+            synthetic.validate("data.synthetic.")?;
+        }
         let fraction = self.data.validation_fraction;
         require((0.0..1.0).contains(&fraction), "data.validation_fraction", || format!("{fraction} is not in [0, 1)"))?;
         let cache_mb = self.data.cache_mb;

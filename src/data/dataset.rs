@@ -11,7 +11,7 @@ use super::drive::Drive;
 use super::pairing::Pairing;
 use crate::config::{Config, DriveConfig, WatchedSplit};
 use crate::error::{Error, Result};
-use crate::geometry::{Pose, Tangent};
+use crate::geometry::{Covariance6, Pose, Tangent};
 
 /// What an experiment works with.
 #[derive(Clone, Debug)]
@@ -76,6 +76,10 @@ pub struct Pair {
     pub source_from_target: Pose,
     /// `e = log(T̂ T⁻¹)` (paper Eq. 2) in the configured error frame, m and rad.
     pub error: Tangent,
+    /// `log ⁱT̂ᵢ₊₁` in vehicle axes, m and rad: what baselines know of a measurement.
+    pub motion: Tangent,
+    /// Covariance of the error that the measurement states, in the error frame: the true one in simulated data.
+    pub stated_covariance: Option<Covariance6>,
 }
 
 /// Two frames of a drive.

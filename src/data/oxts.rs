@@ -9,7 +9,7 @@ use crate::files::{parse_numbers, read_text};
 use crate::geometry::Pose;
 
 /// Radius of the Mercator sphere, m (KITTI development kit).
-const EARTH_RADIUS_M: f64 = 6_378_137.0;
+pub(crate) const EARTH_RADIUS_M: f64 = 6_378_137.0;
 /// Values in a packet.
 const PACKET_VALUES: usize = 30;
 

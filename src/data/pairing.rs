@@ -78,14 +78,26 @@ impl<'a> Pairing<'a> {
                 let source_from_target = measured_pose.conjugated_by(&camera2_from_body);
                 let measured_motion = measured_pose.conjugated_by(&(vehicle_from_camera2 * camera2_from_body));
                 let true_motion = world_from_source.inverse() * *world_from_target;
-                let frame = self.config.data.error_frame;
+                let frame_from_vehicle = error_frame_axes(self.config.data.error_frame, world_from_source, drive);
                 // A system that is the truth has no error, not one of rounding.
                 let is_truth = measurements.frame == MeasurementFrame::Vehicle && *measured_pose == true_motion;
                 let error = match is_truth {
                     true => Tangent::zeros(),
-                    false => error_in_frame(frame, &measured_motion, &true_motion, world_from_source, drive),
+                    false => Pose::error(
+                        &measured_motion.conjugated_by(&frame_from_vehicle),
+                        &true_motion.conjugated_by(&frame_from_vehicle),
+                    ),
                 };
-                pairs.push(Pair { id: PairId { drive: index, source, target }, system, source_from_target, error });
+                let frame_from_body = frame_from_vehicle * vehicle_from_camera2 * camera2_from_body;
+                let stated_covariance = measurements.covariances.get(&pair);
+                pairs.push(Pair {
+                    id: PairId { drive: index, source, target },
+                    system,
+                    source_from_target,
+                    error,
+                    motion: measured_motion.log(),
+                    stated_covariance: stated_covariance.map(|covariance| covariance.transported(&frame_from_body)),
+                });
             }
             measured_pairs.push(measured);
         }
@@ -135,18 +147,11 @@ impl<'a> Pairing<'a> {
     }
 }
 
-/// Paper Eq. 2 in the axes of the error frame; both motions are given in vehicle axes.
-fn error_in_frame(
-    frame: ErrorFrame,
-    measured: &Pose,
-    truth: &Pose,
-    world_from_source: &Pose,
-    drive: &Drive,
-) -> Tangent {
-    let axes_from_vehicle = match frame {
+/// The axes of errors: where vehicle axes lie in them.
+fn error_frame_axes(frame: ErrorFrame, world_from_source: &Pose, drive: &Drive) -> Pose {
+    match frame {
         ErrorFrame::Vehicle => Pose::identity(),
         ErrorFrame::Camera => drive.calibration.camera2_from_vehicle,
         ErrorFrame::World => Pose { translation: nalgebra::Vector3::zeros(), ..*world_from_source },
-    };
-    Pose::error(&measured.conjugated_by(&axes_from_vehicle), &truth.conjugated_by(&axes_from_vehicle))
+    }
 }

@@ -44,6 +44,11 @@ pub fn read_depth_png(path: &Path) -> Result<DepthMap> {
 /// # Errors
 /// The file cannot be written.
 pub fn write_depth_png(path: &Path, map: &DepthMap) -> Result<()> {
+    write_atomically(path, &encode_depth_png(map))
+}
+
+/// A depth map as a PNG; depths beyond the format's 255.99 m become unknown.
+pub(crate) fn encode_depth_png(map: &DepthMap) -> Vec<u8> {
     let step = |&depth: &f32| {
         let steps = (depth * STEPS_PER_METRE).round();
         if (0.0..=f32::from(u16::MAX)).contains(&steps) { steps as u16 } else { 0 }
@@ -53,7 +58,7 @@ pub fn write_depth_png(path: &Path, map: &DepthMap) -> Result<()> {
         ImageBuffer::from_raw(map.width as u32, map.height as u32, pixels).expect("one value a pixel");
     let mut png = Cursor::new(Vec::new());
     image.write_to(&mut png, ImageFormat::Png).expect("a 16-bit grey image is a PNG");
-    write_atomically(path, png.get_ref())
+    png.into_inner()
 }
 
 #[cfg(test)]

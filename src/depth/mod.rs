@@ -9,6 +9,7 @@ mod lidar;
 use std::ops::Range;
 use std::path::Path;
 
+pub(crate) use files::encode_depth_png;
 pub use files::{read_depth_png, write_depth_png};
 pub use ground_plane::ground_plane_depth;
 pub use lidar::{fill_gaps, project_scan, read_scan};

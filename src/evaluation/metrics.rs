@@ -1,6 +1,9 @@
-//! Metrics of predicted diagonal covariances; z = e/√R throughout.
+//! Metrics of predicted covariances; z = e/√R throughout, R the diagonal.
 
 use serde::{Deserialize, Serialize};
+
+use super::ranks::{correlation, median};
+use crate::geometry::{Covariance6, Tangent};
 
 /// Squared Mahalanobis distance that a 6-dimensional Gaussian error stays below with probability 0.95.
 const CHI_SQUARED_6_95: f64 = 12.592;
@@ -29,45 +32,104 @@ pub struct Metrics {
     /// Share of outputs on the variance floor.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub at_floor: Option<f64>,
+    /// Against the system's true covariance, where the data state it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub against_true: Option<AgainstTrue>,
 }
 
-/// Evaluates variances against errors, row by row (order ρ then φ); `None` without rows.
+/// Predicted beside true standard deviations, component by component.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct AgainstTrue {
+    /// Median of predicted over true σ.
+    pub median_sigma_ratio: [f64; 6],
+    /// Correlation of ln σ with ln true σ; `None` where one of them is constant.
+    pub log_sigma_correlation: [Option<f64>; 6],
+}
+
+impl AgainstTrue {
+    /// Compares variances row by row; `None` without rows or with a variance that is not positive.
+    pub fn compare(predicted: &[[f64; 6]], truth: &[[f64; 6]]) -> Option<Self> {
+        let positive = |rows: &[[f64; 6]]| rows.iter().flatten().all(|&variance| variance > 0.0);
+        if predicted.is_empty() || !positive(predicted) || !positive(truth) {
+            return None;
+        }
+        let log_sigmas = |rows: &[[f64; 6]], c: usize| -> Vec<f64> { rows.iter().map(|row| 0.5 * row[c].ln()).collect() };
+        Some(Self {
+            median_sigma_ratio: std::array::from_fn(|c| {
+                let ratios = predicted.iter().zip(truth).map(|(predicted, truth)| (predicted[c] / truth[c]).sqrt());
+                median(ratios.collect()).expect("not empty")
+            }),
+            log_sigma_correlation: std::array::from_fn(|c| correlation(&log_sigmas(predicted, c), &log_sigmas(truth, c))),
+        })
+    }
+}
+
+/// Evaluates diagonal covariances against errors, row by row (order ρ then φ); `None` without rows.
 pub fn evaluate(variances: &[[f64; 6]], errors: &[[f64; 6]]) -> Option<Metrics> {
     assert_eq!(variances.len(), errors.len(), "one variance for each error");
+    let rows = variances.iter().zip(errors);
+    let nees = rows.map(|(variance, error)| variance.iter().zip(error).map(|(v, e)| e * e / v).sum()).collect();
+    let log_determinants: Vec<f64> = variances.iter().map(|variance| variance.iter().map(|v| v.ln()).sum()).collect();
+    let possible = variances.iter().flatten().all(|&variance| variance > 0.0);
+    evaluate_joint(variances, errors, possible.then_some((nees, log_determinants)))
+}
+
+/// Evaluates full covariances: joint scores by the whole matrix, scores of components by its diagonal.
+/// `None` without rows.
+pub fn evaluate_full(covariances: &[Covariance6], errors: &[[f64; 6]]) -> Option<Metrics> {
+    assert_eq!(covariances.len(), errors.len(), "one covariance for each error");
+    let variances: Vec<[f64; 6]> = covariances.iter().map(|covariance| covariance.variance().into()).collect();
+    let joint: Option<Vec<(f64, f64)>> = covariances
+        .iter()
+        .zip(errors)
+        .map(|(covariance, &error)| {
+            let factor = covariance.matrix().cholesky()?;
+            let error = Tangent::from(error);
+            Some((error.dot(&factor.solve(&error)), 2.0 * factor.l_dirty().diagonal().map(f64::ln).sum()))
+        })
+        .collect();
+    evaluate_joint(&variances, errors, joint.map(|joint| joint.into_iter().unzip()))
+}
+
+/// `joint` holds eᵀR⁻¹e and ln det R of each row, if R can be inverted in every row.
+fn evaluate_joint(
+    variances: &[[f64; 6]],
+    errors: &[[f64; 6]],
+    joint: Option<(Vec<f64>, Vec<f64>)>,
+) -> Option<Metrics> {
     if errors.is_empty() {
         return None;
     }
-    let rows = errors.len() as f64;
-    let column = |value: &dyn Fn([f64; 6], [f64; 6], usize) -> f64, component: usize| -> Vec<f64> {
-        variances.iter().zip(errors).map(|(&variance, &error)| value(variance, error, component)).collect()
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+    let column = |value: &dyn Fn(f64, f64) -> f64, component: usize| -> Vec<f64> {
+        variances.iter().zip(errors).map(|(variance, error)| value(variance[component], error[component])).collect()
     };
     let per_component = |summary: &dyn Fn(usize) -> f64| std::array::from_fn(summary);
 
     let mut dispersion: [Vec<f64>; 6] =
-        std::array::from_fn(|c| column(&|variance, error, c| (variance[c] - error[c] * error[c]).abs().sqrt(), c));
+        std::array::from_fn(|c| column(&|variance, error| (variance - error * error).abs().sqrt(), c));
     dispersion.iter_mut().for_each(|values| values.sort_by(f64::total_cmp));
     let quartile = |share: f64| per_component(&|c| quantile(&dispersion[c], share));
 
-    let possible = variances.iter().flatten().all(|&variance| variance > 0.0);
     let erroneous = errors.iter().flatten().any(|&error| error != 0.0);
-    let calibratable = possible && erroneous;
-    let z_squared: [Vec<f64>; 6] =
-        std::array::from_fn(|c| column(&|variance, error, c| error[c] * error[c] / variance[c], c));
-    let nees: Vec<f64> = (0..errors.len()).map(|row| z_squared.iter().map(|column| column[row]).sum()).collect();
-    let log_determinant = || variances.iter().flatten().map(|variance| variance.ln()).sum::<f64>() / rows;
-    let mean_nees = nees.iter().sum::<f64>() / rows;
+    let joint = joint.filter(|_| erroneous);
+    let z_squared: [Vec<f64>; 6] = std::array::from_fn(|c| column(&|variance, error| error * error / variance, c));
+    let calibratable = joint.is_some();
 
     Some(Metrics {
         mde: quartile(0.5),
         de_quartiles: [quartile(0.25), quartile(0.5), quartile(0.75)],
-        nll: calibratable.then(|| 0.5 * (6.0 * std::f64::consts::TAU.ln() + log_determinant() + mean_nees)),
-        anees: calibratable.then_some(mean_nees / 6.0),
-        nees_below_95: calibratable.then(|| share(&nees, |value| value < CHI_SQUARED_6_95)),
-        zms: calibratable.then(|| per_component(&|c| z_squared[c].iter().sum::<f64>() / rows)),
+        nll: joint.as_ref().map(|(nees, log_determinants)| {
+            0.5 * (6.0 * std::f64::consts::TAU.ln() + mean(log_determinants) + mean(nees))
+        }),
+        anees: joint.as_ref().map(|(nees, _)| mean(nees) / 6.0),
+        nees_below_95: joint.as_ref().map(|(nees, _)| share(nees, |value| value < CHI_SQUARED_6_95)),
+        zms: calibratable.then(|| per_component(&|c| mean(&z_squared[c]))),
         coverage: calibratable
             .then(|| [1.0, 4.0, 9.0].map(|limit| per_component(&|c| share(&z_squared[c], |value| value <= limit)))),
-        sharpness: per_component(&|c| column(&|variance, _, c| variance[c].sqrt(), c).iter().sum::<f64>() / rows),
+        sharpness: per_component(&|c| mean(&column(&|variance, _| variance.sqrt(), c))),
         at_floor: None,
+        against_true: None,
     })
 }
 
@@ -98,6 +160,33 @@ mod tests {
         assert_eq!(metrics.mde, [0.0; 6]);
         let expected = 0.5 * (6.0 * std::f64::consts::TAU.ln() + 6.0 * 4f64.ln() + 6.0);
         assert_relative_eq!(metrics.nll.unwrap(), expected, epsilon = 1e-12);
+    }
+
+    #[test]
+    fn a_full_covariance_scores_its_correlations() {
+        let diagonal = Covariance6::from_std_devs(&Tangent::new(0.1, 0.2, 0.3, 0.01, 0.02, 0.03));
+        let errors = [[0.05, -0.1, 0.2, 0.01, 0.0, -0.02], [0.0, 0.3, -0.1, 0.02, 0.01, 0.01]];
+        let full = evaluate_full(&[diagonal; 2], &errors).unwrap();
+        let plain = evaluate(&[diagonal.variance().into(); 2], &errors).unwrap();
+        assert_relative_eq!(full.nll.unwrap(), plain.nll.unwrap(), epsilon = 1e-12);
+        assert_relative_eq!(full.anees.unwrap(), plain.anees.unwrap(), epsilon = 1e-12);
+        // In other axes the matrix is full, and the likelihood of the error carried along is the same.
+        let axes = crate::geometry::Pose::exp(&Tangent::new(1.0, 0.4, -0.3, 0.5, 0.2, -0.8));
+        let moved = errors.map(|error| (axes.adjoint() * Tangent::from(error)).into());
+        let full = evaluate_full(&[diagonal.transported(&axes); 2], &moved).unwrap();
+        assert_relative_eq!(full.nll.unwrap(), plain.nll.unwrap(), epsilon = 1e-9);
+    }
+
+    #[test]
+    fn predictions_are_compared_with_true_variances() {
+        let truth = [[1.0; 6], [4.0; 6], [9.0; 6]];
+        let halved = truth.map(|row| row.map(|variance| variance / 4.0));
+        let comparison = AgainstTrue::compare(&halved, &truth).unwrap();
+        assert_relative_eq!(comparison.median_sigma_ratio[3], 0.5);
+        assert_relative_eq!(comparison.log_sigma_correlation[3].unwrap(), 1.0, epsilon = 1e-12);
+        let constant = AgainstTrue::compare(&[[1.0; 6]; 3], &truth).unwrap();
+        assert_eq!(constant.log_sigma_correlation, [None; 6]);
+        assert_eq!(AgainstTrue::compare(&[[0.0; 6]; 3], &truth), None);
     }
 
     #[test]

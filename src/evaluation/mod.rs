@@ -3,10 +3,15 @@
 //! The only door from the device back to the CPU ([`predict_split`]); everything after it is f64.
 //! Knows nothing of tables and pictures (`report`).
 
+mod baselines;
 mod metrics;
+mod perturbation;
 mod prediction;
+mod ranks;
 mod results;
 
-pub use metrics::{Metrics, evaluate};
+pub use baselines::LogLinear;
+pub use metrics::{AgainstTrue, Metrics, evaluate, evaluate_full};
+pub use perturbation::{PerturbationResponse, perturbation_response};
 pub use prediction::{Prediction, mean_loss, predict_split, read_values, share_at_floor};
-pub use results::{Evaluation, MethodName, SystemEvaluation, evaluate_run, write_results};
+pub use results::{Evaluation, MethodName, Separation, SystemEvaluation, evaluate_run, write_results};

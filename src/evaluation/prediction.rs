@@ -6,8 +6,9 @@ use burn::tensor::{Device, Tensor};
 use burn::train::InferenceStep;
 
 use crate::config::TrainingConfig;
-use crate::data::{BatchLoader, Choice, PairId, PairReader, Split};
+use crate::data::{BatchLoader, Choice, Pair, PairId, PairReader, Split};
 use crate::error::{Error, Result};
+use crate::geometry::{Covariance6, Tangent};
 use crate::loss::LOG_VARIANCE_LIMIT;
 use crate::model::CovarianceModel;
 
@@ -25,9 +26,25 @@ pub struct Prediction {
     pub error: [f64; 6],
     /// d, ln m² and ln rad².
     pub log_variance: [f64; 6],
+    /// `log T̂` in vehicle axes, m and rad.
+    pub motion: Tangent,
+    /// The covariance that the measurement states: the true one in simulated data.
+    pub stated_covariance: Option<Covariance6>,
 }
 
 impl Prediction {
+    /// A prediction for a pair.
+    pub fn new(pair: &Pair, log_variance: [f64; 6]) -> Self {
+        Self {
+            pair: pair.id,
+            system: pair.system,
+            error: pair.error.into(),
+            log_variance,
+            motion: pair.motion,
+            stated_covariance: pair.stated_covariance,
+        }
+    }
+
     /// The loss of this pair (paper Eq. 7): `sum(d) + eᵀ diag(exp(−d)) e`, d within the limits of
     /// [`gaussian_loss`](crate::loss::gaussian_loss).
     pub fn loss(&self) -> f64 {
@@ -78,7 +95,7 @@ pub fn predict_split(
                     pair.id.source, pair.id.target
                 )));
             }
-            predictions.push(Prediction { pair: pair.id, system: pair.system, error: pair.error.into(), log_variance });
+            predictions.push(Prediction::new(pair, log_variance));
         }
         progress(predictions.len())?;
     }
@@ -103,8 +120,8 @@ pub fn read_values<const D: usize>(tensor: Tensor<D>) -> Result<Vec<f64>> {
 }
 
 /// Share of log-variances that sit on their floor.
-pub fn share_at_floor(predictions: &[Prediction], floor: &[f64; 6]) -> f64 {
-    let outputs = predictions.iter().flat_map(|prediction| prediction.log_variance.iter().zip(floor));
+pub fn share_at_floor<'a>(predictions: impl IntoIterator<Item = &'a Prediction>, floor: &[f64; 6]) -> f64 {
+    let outputs = predictions.into_iter().flat_map(|prediction| prediction.log_variance.iter().zip(floor));
     let (mut total, mut low) = (0_usize, 0_usize);
     for (d, floor) in outputs {
         total += 1;

@@ -1,17 +1,20 @@
 //! The result of an evaluation: every system, relcov beside the baselines; `evaluation.json` and
 //! `pairs.csv`.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use serde::Serialize;
 
-use super::metrics::{Metrics, evaluate};
+use super::metrics::{AgainstTrue, Metrics, evaluate, evaluate_full};
+use super::perturbation::PerturbationResponse;
 use super::prediction::{Prediction, share_at_floor};
+use super::ranks::{auroc, median};
 use crate::data::{BadFrame, Dataset, SplitName};
 use crate::error::{Error, Place, Result};
 use crate::files::write_atomically;
-use crate::geometry::{Conventions, ErrorFrame};
-use crate::training::Manifest;
+use crate::geometry::{Conventions, Covariance6, ErrorFrame};
+use crate::training::{Manifest, SystemSummary};
 
 /// Version of `evaluation.json`.
 const SCHEMA: u32 = 1;
@@ -26,6 +29,13 @@ pub enum MethodName {
     Zero,
     /// The system's mean e² over the training set.
     Constant,
+    /// [`LogLinear`](super::LogLinear) in the measured motion, fitted to the training set.
+    LogLinear,
+    /// The covariance that each measurement states: the system's true one in simulated data. It knows
+    /// the scene and not the realised error, so a model that sees misalignment may beat it.
+    Oracle,
+    /// The diagonal of the same: the best that a diagonal covariance can say without seeing the error.
+    OracleDiagonal,
 }
 
 impl MethodName {
@@ -35,6 +45,9 @@ impl MethodName {
             Self::Relcov => "relcov",
             Self::Zero => "zero",
             Self::Constant => "constant",
+            Self::LogLinear => "log_linear",
+            Self::Oracle => "oracle",
+            Self::OracleDiagonal => "oracle_diagonal",
         }
     }
 }
@@ -63,6 +76,12 @@ pub struct Evaluation {
     /// By system name.
     #[serde(serialize_with = "as_map")]
     pub systems: Vec<(String, SystemEvaluation)>,
+    /// How well the model tells the first system from one that is the truth.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub separation: Option<Separation>,
+    /// The paper's thought experiment, where it was made.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub perturbation_response: Option<PerturbationResponse>,
 }
 
 /// One system.
@@ -75,11 +94,22 @@ pub struct SystemEvaluation {
     pub methods: Vec<(&'static str, Metrics)>,
 }
 
+/// Predictions for two systems on the same images.
+#[derive(Clone, Debug, Serialize)]
+pub struct Separation {
+    /// The first system, and the one without error.
+    pub systems: [String; 2],
+    /// Median σ of the first over median σ of the second.
+    pub median_sigma_ratio: [f64; 6],
+    /// Chance that trace R of the first exceeds that of the second, over all pairs of predictions.
+    pub auroc: f64,
+}
+
 /// Evaluates predictions and baselines, system by system.
 ///
 /// # Errors
-/// A system has no predictions. One the run was not trained on has no constant baseline, which is no
-/// error.
+/// A system has no predictions. One the run was not trained on has no baselines fitted to it, which is
+/// no error.
 pub fn evaluate_run(
     predictions: &[Prediction],
     dataset: &Dataset,
@@ -92,27 +122,14 @@ pub fn evaluate_run(
     let mut systems = Vec::new();
     for (index, name) in dataset.systems.iter().enumerate() {
         let rows: Vec<&Prediction> = predictions.iter().filter(|prediction| prediction.system == index).collect();
-        let errors: Vec<[f64; 6]> = rows.iter().map(|row| row.error).collect();
-        let variances: Vec<[f64; 6]> = rows.iter().map(|row| row.variance()).collect();
-        let Some(mut relcov) = evaluate(&variances, &errors) else {
+        if rows.is_empty() {
             return Err(Error::Data(format!(
                 "split `{}`: no pair of system `{name}` could be evaluated",
                 split.name()
             )));
-        };
-        relcov.at_floor = manifest.architecture.log_variance_floor.map(|floor| {
-            let rows: Vec<Prediction> = rows.iter().map(|&row| row.clone()).collect();
-            share_at_floor(&rows, &floor)
-        });
-        let mut methods = vec![(MethodName::Relcov.name(), relcov)];
-        let mut baseline = |method: MethodName, variance: [f64; 6]| {
-            let metrics = evaluate(&vec![variance; errors.len()], &errors).expect("not empty");
-            methods.push((method.name(), metrics));
-        };
-        baseline(MethodName::Zero, [0.0; 6]);
-        if let Some(summary) = manifest.systems.iter().find(|summary| &summary.name == name) {
-            baseline(MethodName::Constant, summary.mean_squared_error);
         }
+        let summary = manifest.systems.iter().find(|summary| &summary.name == name);
+        let methods = evaluate_methods(&rows, summary, manifest.architecture.log_variance_floor);
         systems.push((name.clone(), SystemEvaluation { pairs: rows.len(), methods }));
     }
     let Conventions { error, error_frame, components, units, .. } = manifest.conventions.clone();
@@ -130,6 +147,68 @@ pub fn evaluate_run(
             .map(|bad| format!("{} frame {}: {}", bad.drive, bad.frame, bad.problem))
             .collect(),
         systems,
+        separation: separation(predictions, dataset),
+        perturbation_response: None,
+    })
+}
+
+/// The model and all baselines on the pairs of one system.
+fn evaluate_methods(
+    rows: &[&Prediction],
+    summary: Option<&SystemSummary>,
+    floor: Option<[f64; 6]>,
+) -> Vec<(&'static str, Metrics)> {
+    let errors: Vec<[f64; 6]> = rows.iter().map(|row| row.error).collect();
+    // The oracle speaks when every measurement states its covariance.
+    let stated: Option<Vec<Covariance6>> = rows.iter().map(|row| row.stated_covariance).collect();
+    let true_variances: Option<Vec<[f64; 6]>> =
+        stated.as_ref().map(|stated| stated.iter().map(|covariance| covariance.variance().into()).collect());
+    let against_true = |variances: &[[f64; 6]]| AgainstTrue::compare(variances, true_variances.as_deref()?);
+    let diagonal = |method: MethodName, variances: Vec<[f64; 6]>| {
+        let metrics = evaluate(&variances, &errors).expect("not empty");
+        (method.name(), Metrics { against_true: against_true(&variances), ..metrics })
+    };
+
+    let (name, mut relcov) = diagonal(MethodName::Relcov, rows.iter().map(|row| row.variance()).collect());
+    relcov.at_floor = floor.map(|floor| share_at_floor(rows.iter().copied(), &floor));
+    let mut methods = vec![(name, relcov), diagonal(MethodName::Zero, vec![[0.0; 6]; rows.len()])];
+    if let Some(summary) = summary {
+        methods.push(diagonal(MethodName::Constant, vec![summary.mean_squared_error; rows.len()]));
+    }
+    if let Some(log_linear) = summary.and_then(|summary| summary.log_linear) {
+        let variances = rows.iter().map(|row| log_linear.variance(&row.motion)).collect();
+        methods.push(diagonal(MethodName::LogLinear, variances));
+    }
+    if let (Some(stated), Some(variances)) = (&stated, &true_variances) {
+        let full = evaluate_full(stated, &errors).expect("not empty");
+        methods.push((MethodName::Oracle.name(), full));
+        let metrics = evaluate(variances, &errors).expect("not empty");
+        methods.push((MethodName::OracleDiagonal.name(), metrics));
+    }
+    methods
+}
+
+/// The first system beside the first one that is the truth itself, on pairs that both have.
+fn separation(predictions: &[Prediction], dataset: &Dataset) -> Option<Separation> {
+    let of_system = |system: usize| predictions.iter().filter(move |prediction| prediction.system == system);
+    let is_truth = |&system: &usize| {
+        of_system(system).all(|row| row.error == [0.0; 6]) && of_system(system).next().is_some()
+    };
+    let truth = (1..dataset.systems.len()).find(is_truth)?;
+    let pairs = |system: usize| of_system(system).map(|row| row.pair).collect::<BTreeSet<_>>();
+    let shared: BTreeSet<_> = pairs(0).intersection(&pairs(truth)).copied().collect();
+    let variances = |system: usize| -> Vec<[f64; 6]> {
+        of_system(system).filter(|row| shared.contains(&row.pair)).map(Prediction::variance).collect()
+    };
+    let (first, second) = (variances(0), variances(truth));
+    let median_sigma = |rows: &[[f64; 6]], c: usize| median(rows.iter().map(|row| row[c].sqrt()).collect());
+    let traces = |rows: &[[f64; 6]]| rows.iter().map(|row| row.iter().sum()).collect::<Vec<f64>>();
+    let auroc = auroc(&traces(&first), &traces(&second))?;
+    let ratio = |c: usize| median_sigma(&first, c).zip(median_sigma(&second, c)).map_or(f64::NAN, |(a, b)| a / b);
+    Some(Separation {
+        systems: [0, truth].map(|system| dataset.systems[system].clone()),
+        median_sigma_ratio: std::array::from_fn(ratio),
+        auroc,
     })
 }
 

@@ -81,7 +81,7 @@ impl Pose {
         *other_from_self * *self * other_from_self.inverse()
     }
 
-    /// Exponential map: `exp(hat(ξ))`, `t = V(φ) ρ`.
+    /// Exponential map: `exp(hat(ξ))`, `t = V(φ) ρ`; the same bits on every machine.
     pub fn exp(tangent: &Tangent) -> Self {
         let rho = tangent.fixed_rows::<3>(0).into_owned();
         let phi = tangent.fixed_rows::<3>(3).into_owned();
@@ -95,9 +95,9 @@ impl Pose {
                 1.0 / 6.0 - s / 120.0 * (1.0 - s / 42.0 * (1.0 - s / 72.0 * (1.0 - s / 110.0))),
             )
         } else {
-            let half_sine = (0.5 * angle).sin();
+            let (sine, half_sine) = (libm::sin(angle), libm::sin(0.5 * angle));
             let square = angle * angle;
-            (angle.sin() / angle, 2.0 * half_sine * half_sine / square, (angle - angle.sin()) / (square * angle))
+            (sine / angle, 2.0 * half_sine * half_sine / square, (angle - sine) / (square * angle))
         };
         let w = hat(&phi);
         let w2 = w * w;

@@ -19,17 +19,59 @@ pub fn mde_table(evaluation: &Evaluation) -> String {
     for column in table.column_iter_mut().skip(2) {
         column.set_cell_alignment(CellAlignment::Right);
     }
+    let mut text = String::new();
+    if let Some(comparison) = against_true_table(evaluation) {
+        text += &format!("\nagainst the true covariance: median of predicted / true sigma, and correlation of their logarithms\n{comparison}\n");
+        text += "oracle: the system's true covariance; it knows the scene and not the realised error, which the warp shows, so a model may beat it\n";
+    }
+    if let Some(separation) = &evaluation.separation {
+        let [first, second] = &separation.systems;
+        let ratios = separation.median_sigma_ratio.map(three_digits).join(" ");
+        text += &format!("\nmedian sigma of {first} / median sigma of {second} on the same images: {ratios}; AUROC of telling them apart by trace R: {:.3}\n", separation.auroc);
+    }
+    if let Some(response) = &evaluation.perturbation_response {
+        let correlation = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));
+        let components = response.spearman_by_component.map(correlation).join(" ");
+        text += &format!(
+            "identical images, pose exp(eps): rank correlation of sigma and |eps| {}; by component {components} ({} measurements)\n",
+            correlation(response.spearman),
+            response.pairs
+        );
+    }
     let pairs: Vec<String> =
         evaluation.systems.iter().map(|(name, results)| format!("{} {name}", results.pairs)).collect();
     let note = "MDE alone is an improper score (a prediction of zero can win it): read it with NLL (lower is better) and ANEES (1 is calibrated).";
     format!(
-        "MDE = median sqrt|R - e^2|, split {}, pairs: {}\nerror frame: {} ({}); e = {}\n{table}\n{note}\n",
+        "MDE = median sqrt|R - e^2|, split {}, pairs: {}\nerror frame: {} ({}); e = {}\n{table}\n{note}\n{text}",
         evaluation.split,
         pairs.join(", "),
         evaluation.error_frame.name(),
         evaluation.error_frame.axes(),
         evaluation.error,
     )
+}
+
+/// Ratios and correlations of every method, where the data state true covariances.
+fn against_true_table(evaluation: &Evaluation) -> Option<Table> {
+    let mut table = Table::new();
+    table.load_style(presets::ASCII_MARKDOWN);
+    let columns = |prefix: &str| evaluation.components.iter().map(|name| format!("{prefix} {name}")).collect::<Vec<_>>();
+    let header = ["system", "method"].map(str::to_owned).into_iter();
+    table.set_header(header.chain(columns("ratio")).chain(columns("corr.")));
+    for (system, results) in &evaluation.systems {
+        for (method, metrics) in &results.methods {
+            let Some(comparison) = &metrics.against_true else { continue };
+            let correlation = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));
+            let ratios = comparison.median_sigma_ratio.map(three_digits);
+            let correlations = comparison.log_sigma_correlation.map(correlation);
+            let names = [system.clone(), (*method).to_owned()];
+            table.add_row(names.into_iter().chain(ratios).chain(correlations));
+        }
+    }
+    for column in table.column_iter_mut().skip(2) {
+        column.set_cell_alignment(CellAlignment::Right);
+    }
+    (table.row_count() > 0).then_some(table)
 }
 
 fn cells(metrics: &Metrics) -> impl Iterator<Item = String> {
@@ -68,6 +110,8 @@ mod tests {
             split: "test",
             device: "flex".to_owned(),
             unreadable_frames: Vec::new(),
+            separation: None,
+            perturbation_response: None,
             systems: vec![("vo".to_owned(), system(vec![("relcov", metrics(1e-4)), ("zero", metrics(0.0))]))],
         };
         insta::assert_snapshot!(mde_table(&evaluation));

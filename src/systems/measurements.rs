@@ -10,7 +10,7 @@ use crate::config::{MeasurementFrame, SystemSource, TrajectoryConfig, Trajectory
 use crate::data::Drive;
 use crate::error::Result;
 use crate::files::read_text;
-use crate::geometry::Pose;
+use crate::geometry::{Covariance6, Pose};
 
 /// Largest distance in time between a TUM row and the frame it belongs to, s: a fifth of KITTI's period.
 const TUM_TOLERANCE_S: f64 = 0.02;
@@ -22,6 +22,8 @@ pub struct Measurements {
     pub frame: MeasurementFrame,
     /// `source_from_target` by source and target frame.
     pub relative_poses: BTreeMap<(usize, usize), Pose>,
+    /// Covariances of their errors where the file states them, same axes; the true ones in simulated data.
+    pub covariances: BTreeMap<(usize, usize), Covariance6>,
     /// The file that was looked for and is not there.
     pub missing_file: Option<PathBuf>,
 }
@@ -53,8 +55,9 @@ pub fn load_measurements(
     root: &Path,
     true_poses: &Trajectory,
 ) -> Result<Measurements> {
-    let found = |frame, relative_poses| Measurements { frame, relative_poses, missing_file: None };
-    let missing = |frame, path| Measurements { frame, relative_poses: BTreeMap::new(), missing_file: Some(path) };
+    let found =
+        |frame, relative_poses| Measurements { frame, relative_poses, covariances: BTreeMap::new(), missing_file: None };
+    let missing = |frame, path| Measurements { missing_file: Some(path), ..found(frame, BTreeMap::new()) };
     Ok(match source {
         SystemSource::Truth {} => found(MeasurementFrame::Vehicle, consecutive(true_poses)),
         SystemSource::Oxts {} => found(MeasurementFrame::Vehicle, consecutive(&drive.oxts_poses)),
@@ -68,10 +71,14 @@ pub fn load_measurements(
                 return Ok(missing(config.frame, path));
             }
             let poses = parse_relative_poses(&read_text(&path)?, &path)?;
-            found(
-                config.frame,
-                poses.into_iter().map(|pose| ((pose.source, pose.target), pose.source_from_target)).collect(),
-            )
+            let covariances = poses.iter().filter_map(|pose| Some(((pose.source, pose.target), pose.covariance?)));
+            Measurements {
+                covariances: covariances.collect(),
+                ..found(
+                    config.frame,
+                    poses.iter().map(|pose| ((pose.source, pose.target), pose.source_from_target)).collect(),
+                )
+            }
         }
     })
 }

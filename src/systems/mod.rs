@@ -12,6 +12,6 @@ mod trajectory;
 
 pub use measurements::{Measurements, load_measurements, load_true_poses};
 pub use mixing::{BatchPlan, Mixer};
-pub use relative::{RelativePose, parse_relative_poses};
+pub use relative::{RelativePose, format_relative_pose, parse_relative_poses, relative_pose_header};
 pub use sequences::{OdometrySequence, odometry_sequence};
 pub use trajectory::{Trajectory, parse_kitti_trajectory, parse_tum_trajectory};

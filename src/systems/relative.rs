@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use nalgebra::{Matrix6, Vector3};
+use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 
 use super::trajectory::{parse_frame_index, pose_from_quaternion};
 use crate::error::{Error, Place, Result};
@@ -74,9 +74,28 @@ pub fn parse_relative_poses(text: &str, path: &Path) -> Result<Vec<RelativePose>
     Ok(poses)
 }
 
+/// Columns of a file that states covariances, as [`parse_relative_poses`] reads them.
+pub fn relative_pose_header() -> String {
+    let entries = (0..36).map(|k| format!(",c{}{}", k / 6, k % 6)).collect::<String>();
+    format!("source,target,x,y,z,qx,qy,qz,qw{entries}\n")
+}
+
+/// A row of the CSV that [`parse_relative_poses`] reads, with its line end.
+pub fn format_relative_pose(pose: &RelativePose) -> String {
+    let quaternion = UnitQuaternion::from_rotation_matrix(&pose.source_from_target.rotation);
+    let numbers = pose.source_from_target.translation.iter().chain(quaternion.coords.iter());
+    let mut row = format!("{},{}", pose.source, pose.target);
+    numbers.for_each(|value| row += &format!(",{value:.12}"));
+    if let Some(covariance) = &pose.covariance {
+        covariance.matrix().iter().for_each(|value| row += &format!(",{value:.9e}"));
+    }
+    row + "\n"
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::Tangent;
 
     fn parse(text: &str) -> Result<Vec<RelativePose>> {
         parse_relative_poses(text, Path::new("relative.csv"))
@@ -91,6 +110,23 @@ mod tests {
         assert_eq!((poses[0].source, poses[0].covariance.is_some()), (4, false));
         assert_eq!(poses[1].covariance.unwrap().variance()[5], 0.5);
         assert_eq!(poses[1].source_from_target.translation.y, 2.0);
+    }
+
+    #[test]
+    fn written_rows_come_back() {
+        let pose = RelativePose {
+            source: 3,
+            target: 4,
+            source_from_target: Pose::exp(&Tangent::new(1.2, -0.1, 0.02, 0.01, -0.02, 0.3)),
+            covariance: Some(Covariance6::from_std_devs(&Tangent::new(0.1, 0.2, 0.3, 1e-3, 2e-3, 3e-3))),
+        };
+        let text = relative_pose_header() + &format_relative_pose(&pose);
+        let back = parse(&text).unwrap().remove(0);
+        assert!((back.source_from_target.matrix() - pose.source_from_target.matrix()).norm() < 1e-11);
+        let difference = back.covariance.unwrap().matrix() - pose.covariance.unwrap().matrix();
+        assert!(difference.norm() < 1e-10);
+        let bare = RelativePose { covariance: None, ..pose };
+        assert_eq!(format_relative_pose(&bare).matches(',').count(), 8);
     }
 
     #[test]

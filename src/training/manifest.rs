@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::evaluation::LogLinear;
 use crate::geometry::Conventions;
 use crate::model::Architecture;
 
@@ -50,4 +51,7 @@ pub struct SystemSummary {
     pub training_pairs: usize,
     /// Mean e² over them, m² and rad²: the constant baseline.
     pub mean_squared_error: [f64; 6],
+    /// The log-linear baseline fitted to them; `None` for a system without errors.
+    #[serde(default)]
+    pub log_linear: Option<LogLinear>,
 }

@@ -6,7 +6,7 @@ use super::manifest::{BURN_VERSION, LAYOUT, Manifest, SystemSummary};
 use crate::config::{Config, MinLogVariance, WatchedSplit};
 use crate::data::{Dataset, SplitName};
 use crate::device::device_name;
-use crate::evaluation::{Prediction, mean_loss};
+use crate::evaluation::{LogLinear, Prediction, mean_loss};
 use crate::geometry::Conventions;
 use crate::model::Architecture;
 
@@ -46,6 +46,11 @@ pub(super) fn describe(config: &Config, dataset: &Dataset, device: &Device) -> M
         share: system.share,
         training_pairs: dataset.train.systems[index].len(),
         mean_squared_error: dataset.train.mean_squared_error(index).into(),
+        log_linear: {
+            let pairs = &dataset.train.pairs[dataset.train.systems[index].clone()];
+            let (motions, errors): (Vec<_>, Vec<_>) = pairs.iter().map(|pair| (pair.motion, pair.error)).unzip();
+            LogLinear::fit(&motions, &errors)
+        },
     });
     Manifest {
         layout: LAYOUT,
@@ -76,7 +81,7 @@ pub(super) fn constant_loss(dataset: &Dataset, watched: SplitName, manifest: &Ma
             let log_variance = system.mean_squared_error.map(f64::ln);
             let constant: Vec<Prediction> = split.pairs[range.clone()]
                 .iter()
-                .map(|pair| Prediction { pair: pair.id, system: pair.system, error: pair.error.into(), log_variance })
+                .map(|pair| Prediction::new(pair, log_variance))
                 .collect();
             mean_loss(&constant, index).filter(|_| usable)
         })

@@ -5,4 +5,5 @@ mod devices;
 mod kitti;
 mod oracles;
 mod support;
+mod synthetic;
 mod training;

@@ -1,0 +1,301 @@
+//! Writes drives in the KITTI raw layout: resumable, never over other data, a few frames in memory.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder};
+use nalgebra::Vector3;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::packets::{packet, timestamps};
+use super::random::mix;
+use super::rig::Rig;
+use super::sensors::{Exposure, View, beam_directions, photograph, scan};
+use super::settings::SyntheticSettings;
+use super::systems::{SYSTEMS, measure};
+use super::world::{Moment, World};
+use crate::depth::encode_depth_png;
+use crate::error::{Error, Place, Result};
+use crate::files::{read_text, write_atomically, write_renamed};
+use crate::geometry::{Pinhole, Pose};
+use crate::systems::{format_relative_pose, relative_pose_header};
+
+/// Date that all drives bear.
+const DATE: &str = "2026_01_01";
+/// Where the settings of a data set are kept, below its folder.
+const MANIFEST: &str = "synthetic.json";
+/// Version of what is rendered: other numbers come with other bytes.
+const VERSION: u32 = 1;
+
+/// What to do with a folder that holds something else.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Replace {
+    /// Leave it and say so.
+    Never,
+    /// Replace a synthetic data set, and nothing but that.
+    Synthetic,
+}
+
+/// How far a recording is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Recording {
+    /// Frames that are there.
+    pub done: usize,
+    /// Frames in all.
+    pub frames: usize,
+}
+
+/// What a folder holds, beside the data.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+struct Manifest {
+    version: u32,
+    settings: SyntheticSettings,
+    complete: bool,
+}
+
+/// Renders a data set into `out`, or what is still missing of it; whether anything was.
+///
+/// `progress` is told how many frames are there and may end the work by an error; what was written
+/// stays and is not rendered again.
+///
+/// # Errors
+/// A setting is out of range; the folder holds other data; it cannot be written; or `progress` says so.
+pub fn record(
+    out: &Path,
+    settings: &SyntheticSettings,
+    replace: Replace,
+    progress: &mut dyn FnMut(Recording) -> Result<()>,
+) -> Result<bool> {
+    settings.validate("")?;
+    if !open_folder(out, settings, replace)? {
+        return Ok(false);
+    }
+    let date_folder = out.join(DATE);
+    create_folder(&date_folder)?;
+    let rig = Rig::install(&date_folder, settings.size)?;
+    let beams = beam_directions(settings.lidar_steps);
+    let frames = settings.drives * settings.frames;
+    for drive in 1..=settings.drives {
+        let before = (drive - 1) * settings.frames;
+        let studio = Studio { settings, rig: &rig, beams: &beams, folders: DriveFolders::new(out, drive) };
+        studio.record_drive(drive, &mut |done| progress(Recording { done: before + done, frames }))?;
+    }
+    write_manifest(out, settings, true)?;
+    Ok(true)
+}
+
+/// Names of the drives of a data set.
+pub(super) fn drive_name(drive: usize) -> String {
+    format!("{DATE}_drive_{drive:04}_sync")
+}
+
+/// Makes sure that a folder is empty or holds a part of this data set; whether something is missing.
+fn open_folder(out: &Path, settings: &SyntheticSettings, replace: Replace) -> Result<bool> {
+    create_folder(out)?;
+    let path = out.join(MANIFEST);
+    if !path.exists() {
+        let mut entries = std::fs::read_dir(out).map_err(Error::io("list", out))?;
+        if entries.next().is_some() {
+            return Err(Error::Data(format!(
+                "{}: holds files that are no synthetic data set (no {MANIFEST}); choose an empty or new folder",
+                out.display()
+            )));
+        }
+        write_manifest(out, settings, false)?;
+        return Ok(true);
+    }
+    let text = read_text(&path)?;
+    let found: std::result::Result<Manifest, _> = serde_json::from_str(&text);
+    match (found, replace) {
+        (Ok(found), _) if found.settings == *settings && found.version == VERSION => return Ok(!found.complete),
+        (_, Replace::Synthetic) => {}
+        (Ok(found), Replace::Never) => {
+            return Err(Error::Data(format!(
+                "{}: holds a synthetic data set with other settings ({}); choose another folder, or replace it with: relcov synth --force",
+                out.display(),
+                differences(&found, settings)
+            )));
+        }
+        (Err(error), Replace::Never) => {
+            let expected = "the settings of a synthetic data set; `relcov synth --force` replaces the data";
+            return Err(Error::malformed(path, Place::Line(error.line()), error.to_string(), expected));
+        }
+    }
+    for name in [DATE, "measurements"] {
+        let folder = out.join(name);
+        if folder.exists() {
+            std::fs::remove_dir_all(&folder).map_err(Error::io("remove", &folder))?;
+        }
+    }
+    write_manifest(out, settings, false)?;
+    Ok(true)
+}
+
+/// Which settings of a data set are not the wanted ones.
+fn differences(found: &Manifest, wanted: &SyntheticSettings) -> String {
+    let fields = |settings: &SyntheticSettings| match serde_json::to_value(settings) {
+        Ok(serde_json::Value::Object(fields)) => fields,
+        _ => unreachable!("settings are a table"),
+    };
+    let (old, new) = (fields(&found.settings), fields(wanted));
+    let differing = new.iter().filter(|(key, value)| old.get(*key) != Some(value));
+    let mut list: Vec<String> = differing
+        .map(|(key, value)| format!("{key} = {} there, {value} wanted", old.get(key).unwrap_or(&serde_json::Value::Null)))
+        .collect();
+    if found.version != VERSION {
+        list.push(format!("version {} there, {VERSION} wanted", found.version));
+    }
+    list.join("; ")
+}
+
+fn write_manifest(out: &Path, settings: &SyntheticSettings, complete: bool) -> Result<()> {
+    let manifest = Manifest { version: VERSION, settings: settings.clone(), complete };
+    let json = serde_json::to_string_pretty(&manifest).expect("settings are JSON");
+    write_atomically(&out.join(MANIFEST), json.as_bytes())
+}
+
+fn create_folder(folder: &Path) -> Result<()> {
+    std::fs::create_dir_all(folder).map_err(Error::io("create the folder", folder))
+}
+
+/// Where the files of a drive go.
+struct DriveFolders {
+    drive: PathBuf,
+    /// One file for each of [`SYSTEMS`].
+    measurements: [PathBuf; 4],
+}
+
+impl DriveFolders {
+    fn new(out: &Path, drive: usize) -> Self {
+        let name = drive_name(drive);
+        let short = name.trim_end_matches("_sync");
+        Self {
+            drive: out.join(DATE).join(&name),
+            measurements: SYSTEMS.map(|system| out.join("measurements").join(system).join(format!("{short}.csv"))),
+        }
+    }
+
+    fn file(&self, sensor: &str, frame: usize, extension: &str) -> PathBuf {
+        self.drive.join(format!("{sensor}/data/{frame:010}.{extension}"))
+    }
+}
+
+/// Records one drive.
+struct Studio<'a> {
+    settings: &'a SyntheticSettings,
+    rig: &'a Rig,
+    beams: &'a [Vector3<f64>],
+    folders: DriveFolders,
+}
+
+impl Studio<'_> {
+    fn record_drive(&self, drive: usize, progress: &mut dyn FnMut(usize) -> Result<()>) -> Result<()> {
+        let frames = self.settings.frames;
+        // Measurements are written last: a drive that has them is whole.
+        if self.folders.measurements.iter().all(|path| path.exists()) {
+            return progress(frames);
+        }
+        self.lay_out()?;
+        let mut world = World::new(self.settings, drive);
+        let seed = world.seed();
+        let mut rows = SYSTEMS.map(|_| relative_pose_header());
+        let mut carried: Option<Moment> = None;
+        let mut start = Vector3::zeros();
+        let at_once = 4 * rayon::current_num_threads();
+        let done = AtomicUsize::new(0);
+        for first in (0..frames).step_by(at_once) {
+            let count = at_once.min(frames - first);
+            let moments: Vec<Moment> = (0..count).map(|_| world.next_moment()).collect();
+            if first == 0 {
+                start = moments[0].world_from_vehicle.translation;
+            }
+            let measured: Vec<_> = (0..count)
+                .into_par_iter()
+                .map(|index| {
+                    let target = &moments[index];
+                    self.record_frame(target, seed, &start)?;
+                    done.fetch_add(1, Ordering::Relaxed);
+                    let source = if index > 0 { Some(&moments[index - 1]) } else { carried.as_ref() };
+                    Ok(source.map(|source| measure(self.settings, self.rig, seed, source, target)))
+                })
+                .collect::<Result<_>>()?;
+            for poses in measured.into_iter().flatten() {
+                rows.iter_mut().zip(&poses).for_each(|(rows, pose)| rows.push_str(&format_relative_pose(pose)));
+            }
+            carried = moments.into_iter().next_back();
+            progress(done.load(Ordering::Relaxed))?;
+        }
+        for (path, rows) in self.folders.measurements.iter().zip(rows) {
+            write_atomically(path, rows.as_bytes())?;
+        }
+        Ok(())
+    }
+
+    fn lay_out(&self) -> Result<()> {
+        for sensor in ["image_02", "image_03", "velodyne_points", "oxts", "depth_02"] {
+            if sensor == "velodyne_points" && self.beams.is_empty() {
+                continue;
+            }
+            let folder = self.folders.drive.join(sensor);
+            create_folder(&folder.join("data"))?;
+            let times = timestamps(self.settings.frames);
+            write_renamed(&folder.join("timestamps.txt"), times.as_bytes())?;
+            if sensor == "velodyne_points" {
+                for name in ["timestamps_start.txt", "timestamps_end.txt"] {
+                    write_renamed(&folder.join(name), times.as_bytes())?;
+                }
+            }
+        }
+        for path in &self.folders.measurements {
+            create_folder(path.parent().expect("a file in a folder"))?;
+        }
+        Ok(())
+    }
+
+    /// Writes everything of a frame, the left image last: a frame that has it is whole.
+    fn record_frame(&self, moment: &Moment, seed: u64, start: &Vector3<f64>) -> Result<()> {
+        let file = |sensor, extension| self.folders.file(sensor, moment.frame, extension);
+        let left = file("image_02", "png");
+        if left.exists() {
+            return Ok(());
+        }
+        let vehicle_from_left = self.rig.vehicle_from_camera2();
+        let vehicle_from_right = vehicle_from_left * self.rig.camera2_from_camera3();
+        let (right_image, _) = self.photograph(moment, seed, &vehicle_from_right, 3);
+        write_renamed(&file("image_03", "png"), &right_image)?;
+        if !self.beams.is_empty() {
+            let velodyne = moment.world_from_vehicle * self.rig.vehicle_from_velodyne();
+            let points = scan(&moment.scene, &velodyne, self.beams, seed, moment.frame as u64);
+            write_renamed(&file("velodyne_points", "bin"), &points)?;
+        }
+        write_renamed(&file("oxts", "txt"), packet(moment, start).as_bytes())?;
+        let (left_image, depth) = self.photograph(moment, seed, &vehicle_from_left, 2);
+        write_renamed(&file("depth_02", "png"), &depth)?;
+        write_renamed(&left, &left_image)
+    }
+
+    /// A colour PNG and a depth PNG.
+    fn photograph(&self, moment: &Moment, seed: u64, vehicle_from_camera: &Pose, camera: u64) -> (Vec<u8>, Vec<u8>) {
+        let view = |world_from_vehicle: &Pose| View {
+            scene: &moment.scene,
+            light: &moment.light,
+            camera: self.rig.camera(),
+            world_from_camera: *world_from_vehicle * *vehicle_from_camera,
+        };
+        let views: Vec<View<'_>> = moment.exposed_from.iter().map(view).collect();
+        let exposure = Exposure {
+            gain: moment.gain,
+            noise: self.settings.image_noise,
+            key: mix(seed ^ mix((moment.frame as u64) << 8 | camera)),
+        };
+        let (pixels, depth) = photograph(&views, &exposure);
+        let Pinhole { width, height, .. } = self.rig.camera();
+        let mut png = Vec::new();
+        PngEncoder::new_with_quality(&mut png, CompressionType::Fast, FilterType::Up)
+            .write_image(&pixels, width as u32, height as u32, ExtendedColorType::Rgb8)
+            .expect("three bytes a pixel");
+        (png, encode_depth_png(&depth))
+    }
+}
