@@ -1,19 +1,29 @@
 //! `relcov inspect`.
 
-use std::path::PathBuf;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use comfy_table::{CellAlignment, Table, presets};
 
 use super::{Terminal, print_result, synth};
 use crate::config::Config;
-use crate::data::{Coverage, Dataset, PairScope, SplitName};
+use crate::data::{Coverage, Dataset, Pair, PairId, PairReader, PairScope, SplitName};
+use crate::device::open_device;
+use crate::evaluation::warp_pair;
+use crate::files::write_atomically;
+use crate::report::{CONTACT_SHEET_COLUMNS, contact_sheet};
 
 /// Arguments of `relcov inspect`.
 #[derive(Args)]
 #[command(after_help = "Examples:
   relcov inspect --config configs/kitti_sample.toml
-  relcov inspect --config configs/kitti.toml --set data.root=/data/kitti")]
+  relcov inspect --config configs/kitti.toml --set data.root=/data/kitti
+  relcov inspect --config configs/synthetic.toml --contact-sheet sheet.png
+
+A contact sheet has a row for each measurement of a few pairs: source image, target image, source
+warped into the target by the measured pose, validity, and their difference. Where poses, depth and
+calibration are right, little of the difference is left.")]
 pub struct InspectArguments {
     /// The experiment
     #[arg(long, value_name = "FILE")]
@@ -21,13 +31,50 @@ pub struct InspectArguments {
     /// Override a configuration key (TOML value or plain text); repeatable
     #[arg(long = "set", value_name = "KEY=VALUE")]
     set: Vec<String>,
+    /// Draw what the network sees of a few pairs
+    #[arg(long, value_name = "PNG")]
+    contact_sheet: Option<PathBuf>,
+    /// Pairs on the contact sheet, a row for each system
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..), requires = "contact_sheet")]
+    pairs: u8,
 }
 
 pub fn run(arguments: InspectArguments, terminal: &Terminal) -> anyhow::Result<()> {
     let config = Config::load(&arguments.config, &arguments.set)?;
     synth::make_if_asked(&config, terminal)?;
     let dataset = Dataset::load(&config, PairScope::Images)?;
-    print_result(&describe(&config, &dataset))
+    print_result(&describe(&config, &dataset))?;
+    match &arguments.contact_sheet {
+        Some(path) => draw_contact_sheet(path, usize::from(arguments.pairs), &config, &dataset),
+        None => Ok(()),
+    }
+}
+
+/// Pairs spread over all splits, seen with the pose of every system that measured them.
+fn draw_contact_sheet(path: &Path, pairs: usize, config: &Config, dataset: &Dataset) -> anyhow::Result<()> {
+    let splits = [SplitName::Train, SplitName::Validation, SplitName::Test].map(|name| dataset.split(name));
+    let mut measured: BTreeMap<PairId, Vec<&Pair>> = BTreeMap::new();
+    splits.iter().flat_map(|split| &split.pairs).for_each(|pair| measured.entry(pair.id).or_default().push(pair));
+    anyhow::ensure!(!measured.is_empty(), "no pair has images and depth: there is nothing to draw");
+    let reader = PairReader::new(config, dataset, SplitName::Test);
+    let device = open_device("flex")?;
+    let (mut rows, mut legend) = (Vec::new(), String::new());
+    let count = measured.len();
+    for pair in (0..pairs).filter_map(|row| measured.values().nth((2 * row + 1) * count / (2 * pairs))).flatten() {
+        let Some(sample) = reader.read(pair)? else { continue };
+        let warped = warp_pair(&sample, &device)?;
+        let PairId { drive, source, target } = pair.id;
+        let difference = warped.mean_difference.map_or("no valid pixel".to_owned(), |levels| format!("{levels:.1} grey levels"));
+        legend += &format!(
+            "  row {}: {} frames {source} and {target}, {}: mean difference {difference}\n",
+            rows.len() + 1,
+            dataset.drives[drive].name,
+            dataset.systems[pair.system]
+        );
+        rows.push((sample, warped));
+    }
+    write_atomically(path, &contact_sheet(&rows))?;
+    print_result(&format!("{}: columns: {}\n{legend}", path.display(), CONTACT_SHEET_COLUMNS.join(" | ")))
 }
 
 fn describe(config: &Config, dataset: &Dataset) -> String {

@@ -9,9 +9,11 @@ mod perturbation;
 mod prediction;
 mod ranks;
 mod results;
+mod warped;
 
 pub use baselines::LogLinear;
 pub use metrics::{AgainstTrue, Metrics, evaluate, evaluate_full};
 pub use perturbation::{PerturbationResponse, perturbation_response};
 pub use prediction::{Prediction, mean_loss, predict_split, read_values, share_at_floor};
 pub use results::{Evaluation, MethodName, Separation, SystemEvaluation, evaluate_run, write_results};
+pub use warped::{WarpedPair, warp_pair};

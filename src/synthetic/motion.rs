@@ -99,7 +99,8 @@ impl Driver {
         let bends = (0..=(LOOK_AHEAD_M / 4.0) as u32).map(|step| {
             let ahead_m = 4.0 * f64::from(step);
             let curvature = road.at(arc_m + ahead_m).curvature.abs();
-            (LATERAL_ACCELERATION / curvature.max(1e-4) + 2.0 * BRAKING * ahead_m).sqrt()
+            // The bend may begin right after the place looked at before.
+            (LATERAL_ACCELERATION / curvature.max(1e-4) + 2.0 * BRAKING * (ahead_m - 4.0).max(0.0)).sqrt()
         });
         let stop = (2.0 * BRAKING * (self.stop_at_m - arc_m).max(0.0)).sqrt().max(0.3);
         bends.fold(self.cruise_m_s.min(stop), f64::min)
@@ -132,8 +133,8 @@ impl Body {
         let liveliness = state.speed_m_s / (state.speed_m_s + 3.0);
         let [forward, left] = state.acceleration;
         // Braking lowers the nose, which is a positive rotation about the axis to the left.
-        let pitch = 0.006 * liveliness * sway(&self.waves[0]) - 0.004 * forward;
-        let roll = 0.006 * liveliness * sway(&self.waves[1]) + 0.006 * left;
+        let pitch = 0.012 * liveliness * sway(&self.waves[0]) - 0.004 * forward;
+        let roll = 0.012 * liveliness * sway(&self.waves[1]) + 0.006 * left;
         let heave = 0.02 * liveliness * sway(&self.waves[2]);
         let position = point.beside(LANE_M);
         let translation = Vector3::new(position.x, position.y, ORIGIN_HEIGHT_M + heave);

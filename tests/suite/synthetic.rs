@@ -247,19 +247,28 @@ fn every_measurement_states_its_covariance_and_its_errors_fit_it() {
 
 #[test]
 fn streets_are_rich_and_poor_the_car_turns_and_stops() {
-    let folder = rendered(&SyntheticSettings { lidar_steps: 0, ..plain(400) });
-    let drive = Drive::load(folder.path(), DRIVE).unwrap();
-    let steps: Vec<_> = (0..399).map(|frame| (drive.oxts_poses[&frame].inverse() * drive.oxts_poses[&(frame + 1)]).log()).collect();
-    let speeds: Vec<f64> = steps.iter().map(|step| step.fixed_rows::<3>(0).norm() * 10.0).collect();
+    let folder = rendered(&SyntheticSettings { drives: 3, size: [96, 32], lidar_steps: 0, ..plain(300) });
+    let (mut speeds, mut turns, mut sigmas) = (Vec::new(), 0, Vec::new());
+    for drive in 1..=3 {
+        let name = format!("2026_01_01_drive_{drive:04}");
+        let poses = Drive::load(folder.path(), &format!("{name}_sync")).unwrap().oxts_poses;
+        let steps = (0..299).map(|frame| (poses[&frame].inverse() * poses[&(frame + 1)]).log());
+        for step in steps {
+            speeds.push(10.0 * step.fixed_rows::<3>(0).norm());
+            turns += usize::from(step[5].abs() > 0.01);
+        }
+        let path = folder.path().join(format!("measurements/vo/{name}.csv"));
+        let measured = parse_relative_poses(&std::fs::read_to_string(&path).unwrap(), &path).unwrap();
+        sigmas.extend(measured.iter().map(|pose| pose.covariance.unwrap().std_devs()[2]));
+    }
     assert!(speeds.iter().all(|&speed| speed <= 20.5));
-    assert!(speeds.iter().filter(|&&speed| speed < 0.05).count() >= 8, "no stop");
-    assert!(speeds.iter().filter(|&&speed| speed > 8.0).count() > 50);
-    assert!(steps.iter().filter(|step| step[5].abs() > 0.01).count() > 20, "no turn");
-    let path = folder.path().join("measurements/vo/2026_01_01_drive_0001.csv");
-    let measured = parse_relative_poses(&std::fs::read_to_string(&path).unwrap(), &path).unwrap();
-    let mut sigmas: Vec<f64> = measured.iter().map(|pose| pose.covariance.unwrap().std_devs()[2]).collect();
+    let share = |condition: &dyn Fn(f64) -> bool| speeds.iter().filter(|&&speed| condition(speed)).count();
+    assert!(share(&|speed| speed < 0.05) >= 20, "the car never stops");
+    assert!(share(&|speed| speed > 8.0) > 200, "the car never drives fast");
+    assert!(turns > 50, "the car never turns");
     sigmas.sort_by(f64::total_cmp);
-    assert!(sigmas[360] > 2.0 * sigmas[40], "the visual odometry is as good everywhere: {} {}", sigmas[40], sigmas[360]);
+    let (good, bad) = (sigmas[sigmas.len() / 20], sigmas[sigmas.len() * 19 / 20]);
+    assert!(bad > 2.0 * good, "the visual odometry is as good everywhere: {good} m and {bad} m");
 }
 
 #[test]

@@ -1,0 +1,92 @@
+//! A picture of what the network sees: a row for each measurement, five pictures side by side.
+
+use std::io::Cursor;
+
+use crate::data::{PairSample, RgbImage};
+use crate::evaluation::WarpedPair;
+
+/// What the columns of a contact sheet show.
+pub const CONTACT_SHEET_COLUMNS: [&str; 5] =
+    ["source", "target", "warped (source seen from target)", "valid", "difference of warped and target, doubled"];
+
+/// Pixels between two pictures.
+const GAP: usize = 4;
+/// Pictures narrower than this are enlarged by a whole factor.
+const LEAST_WIDTH: usize = 256;
+
+/// Draws a contact sheet as a PNG; all pictures have one size.
+pub fn contact_sheet(rows: &[(PairSample, WarpedPair)]) -> Vec<u8> {
+    let [width, height] = rows.first().map_or([1, 1], |(sample, _)| [sample.target_image.width, sample.target_image.height]);
+    let scale = LEAST_WIDTH.div_ceil(width);
+    let (cell_width, cell_height) = (width * scale + GAP, height * scale + GAP);
+    let columns = CONTACT_SHEET_COLUMNS.len();
+    let (sheet_width, sheet_height) = (columns * cell_width + GAP, rows.len() * cell_height + GAP);
+    let mut sheet = image::RgbImage::from_pixel(sheet_width as u32, sheet_height as u32, image::Rgb([255; 3]));
+    for (row, (sample, warped)) in rows.iter().enumerate() {
+        let pictures: [&RgbImage; 5] = [
+            &sample.source_image,
+            &sample.target_image,
+            &warped.warped_image,
+            &validity(warped),
+            &difference(sample, warped),
+        ];
+        for (column, picture) in pictures.into_iter().enumerate() {
+            let (left, top) = (GAP + column * cell_width, GAP + row * cell_height);
+            for (v, u) in (0..height * scale).flat_map(|v| (0..width * scale).map(move |u| (v, u))) {
+                let pixel = 3 * (v / scale * width + u / scale);
+                let colour = [0, 1, 2].map(|channel| picture.bytes[pixel + channel]);
+                sheet.put_pixel((left + u) as u32, (top + v) as u32, image::Rgb(colour));
+            }
+        }
+    }
+    let mut png = Cursor::new(Vec::new());
+    sheet.write_to(&mut png, image::ImageFormat::Png).expect("an RGB image is a PNG");
+    png.into_inner()
+}
+
+fn validity(warped: &WarpedPair) -> RgbImage {
+    let bytes = warped.valid.iter().flat_map(|&valid| [if valid { 255 } else { 0 }; 3]).collect();
+    RgbImage { bytes, ..warped.warped_image }
+}
+
+/// Grey where not valid.
+fn difference(sample: &PairSample, warped: &WarpedPair) -> RgbImage {
+    let levels = warped.warped_image.bytes.iter().zip(&sample.target_image.bytes).enumerate();
+    let bytes = levels.map(|(index, (warped_level, target_level))| match warped.valid[index / 3] {
+        true => warped_level.abs_diff(*target_level).saturating_mul(2),
+        false => 128,
+    });
+    RgbImage { bytes: bytes.collect(), ..warped.warped_image }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::depth::DepthMap;
+    use crate::geometry::{Pinhole, Pose, Tangent};
+
+    #[test]
+    fn a_sheet_shows_five_pictures_a_row() {
+        let picture = |level: u8| RgbImage { width: 128, height: 4, bytes: vec![level; 3 * 128 * 4] };
+        let sample = PairSample {
+            source_image: Arc::new(picture(10)),
+            target_image: Arc::new(picture(20)),
+            target_depth: Arc::new(DepthMap { width: 128, height: 4, depth_m: vec![1.0; 128 * 4] }),
+            camera: Pinhole { fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0, width: 128, height: 4 },
+            source_from_target: Pose::identity(),
+            error: Tangent::zeros(),
+        };
+        let mut valid = vec![true; 128 * 4];
+        valid[0] = false;
+        let warped = WarpedPair { warped_image: picture(50), valid, mean_difference: Some(30.0) };
+        let png = contact_sheet(&[(sample.clone(), warped.clone()), (sample, warped)]);
+        let sheet = image::load_from_memory(&png).unwrap().into_rgb8();
+        assert_eq!(sheet.dimensions(), (5 * 260 + 4, 2 * 12 + 4));
+        let at = |column: u32, u: u32| sheet.get_pixel(4 + 260 * column + u, 4).0[0];
+        assert_eq!([at(0, 9), at(1, 9), at(2, 9), at(3, 9), at(4, 9)], [10, 20, 50, 255, 60]);
+        assert_eq!([at(3, 0), at(4, 1)], [0, 128]);
+        assert_eq!(sheet.get_pixel(0, 0).0, [255; 3]);
+    }
+}
