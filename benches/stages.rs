@@ -1,4 +1,4 @@
-//! Time of each stage: decode and resize, warp, prediction, loading, training step, and the whole
+//! Time of each stage: render, decode and resize, warp, prediction, loading, training step, and the whole
 //! training loop beside its bare step. `cargo bench`; sizes below are those of configs/kitti_sample.toml.
 
 use std::cell::RefCell;
@@ -17,6 +17,7 @@ use relcov::depth::ground_plane_depth;
 use relcov::geometry::{Pinhole, Pose, Tangent};
 use relcov::kernels::Adam;
 use relcov::model::{Architecture, CovarianceModel, InputBasis, MicroBatch};
+use relcov::synthetic::{Replace, SyntheticSettings, record};
 use relcov::training::{Event, Learner};
 use relcov::warp::Warp;
 use relcov::{Measurement, Model};
@@ -251,5 +252,26 @@ fn learner_done(interrupt: &std::sync::atomic::AtomicBool) {
     interrupt.store(true, std::sync::atomic::Ordering::Relaxed);
 }
 
-criterion_group!(stages, decode, warp, forward, load, training_step, training_loop);
+/// Stereo frames with depth and LiDAR, rendered and written.
+fn render(criterion: &mut Criterion) {
+    const FRAMES: usize = 32;
+    let mut group = criterion.benchmark_group("render");
+    group.sample_size(10).throughput(Throughput::Elements(FRAMES as u64));
+    for (width, height) in [(192, 64), (512, 160)] {
+        let settings = SyntheticSettings { drives: 1, frames: FRAMES, size: [width, height], ..Default::default() };
+        group.bench_function(BenchmarkId::from_parameter(format!("{width}x{height}")), |bencher| {
+            bencher.iter_batched(
+                || tempfile::tempdir().expect("a temporary folder"),
+                |folder| {
+                    record(folder.path(), &settings, Replace::Never, &mut |_| Ok(())).expect("rendered");
+                    folder
+                },
+                criterion::BatchSize::PerIteration,
+            );
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(stages, render, decode, warp, forward, load, training_step, training_loop);
 criterion_main!(stages);

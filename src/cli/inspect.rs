@@ -64,7 +64,8 @@ fn draw_contact_sheet(path: &Path, pairs: usize, config: &Config, dataset: &Data
         let Some(sample) = reader.read(pair)? else { continue };
         let warped = warp_pair(&sample, &device)?;
         let PairId { drive, source, target } = pair.id;
-        let difference = warped.mean_difference.map_or("no valid pixel".to_owned(), |levels| format!("{levels:.1} grey levels"));
+        let difference =
+            warped.mean_difference.map_or("no valid pixel".to_owned(), |levels| format!("{levels:.1} grey levels"));
         legend += &format!(
             "  row {}: {} frames {source} and {target}, {}: mean difference {difference}\n",
             rows.len() + 1,

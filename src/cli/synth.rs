@@ -95,7 +95,9 @@ fn make(out: &Path, settings: &SyntheticSettings, replace: Replace, terminal: &T
     let begin = std::time::Instant::now();
     let mut progress: Option<Progress> = None;
     let made = record(out, settings, replace, &mut |Recording { done, frames }| {
-        progress.get_or_insert_with(|| Progress::new(terminal.quiet, "rendering", 0, frames)).set(done, "stereo frames");
+        progress
+            .get_or_insert_with(|| Progress::new(terminal.quiet, "rendering", 0, frames))
+            .set(done, "stereo frames");
         Ok(())
     })?;
     drop(progress);
@@ -104,7 +106,10 @@ fn make(out: &Path, settings: &SyntheticSettings, replace: Replace, terminal: &T
         let seconds = begin.elapsed().as_secs_f64();
         note(
             terminal.quiet,
-            &format!("made a synthetic data set in {}: {drives} drives of {frames} frames, {width}x{height}, {seconds:.0} s", out.display()),
+            &format!(
+                "made a synthetic data set in {}: {drives} drives of {frames} frames, {width}x{height}, {seconds:.0} s",
+                out.display()
+            ),
         );
     }
     Ok(())

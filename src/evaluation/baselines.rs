@@ -91,7 +91,14 @@ mod tests {
         let law = LogLinear { coefficients: [[-8.0, 1.5, 0.3, -0.2]; 6] };
         let (mut motions, mut errors) = (Vec::new(), Vec::new());
         for _ in 0..20_000 {
-            let motion = Tangent::new(random.random_range(0.0..2.0), 0.0, 0.0, 0.0, random.random_range(-0.04..0.04), random.random_range(-0.04..0.04));
+            let motion = Tangent::new(
+                random.random_range(0.0..2.0),
+                0.0,
+                0.0,
+                0.0,
+                random.random_range(-0.04..0.04),
+                random.random_range(-0.04..0.04),
+            );
             // A uniform variable on ±√3 σ has variance σ².
             let error = law.variance(&motion).map(|variance| (3.0 * variance).sqrt() * random.random_range(-1.0..1.0));
             motions.push(motion);

@@ -53,13 +53,16 @@ impl AgainstTrue {
         if predicted.is_empty() || !positive(predicted) || !positive(truth) {
             return None;
         }
-        let log_sigmas = |rows: &[[f64; 6]], c: usize| -> Vec<f64> { rows.iter().map(|row| 0.5 * row[c].ln()).collect() };
+        let log_sigmas =
+            |rows: &[[f64; 6]], c: usize| -> Vec<f64> { rows.iter().map(|row| 0.5 * row[c].ln()).collect() };
         Some(Self {
             median_sigma_ratio: std::array::from_fn(|c| {
                 let ratios = predicted.iter().zip(truth).map(|(predicted, truth)| (predicted[c] / truth[c]).sqrt());
                 median(ratios.collect()).expect("not empty")
             }),
-            log_sigma_correlation: std::array::from_fn(|c| correlation(&log_sigmas(predicted, c), &log_sigmas(truth, c))),
+            log_sigma_correlation: std::array::from_fn(|c| {
+                correlation(&log_sigmas(predicted, c), &log_sigmas(truth, c))
+            }),
         })
     }
 }
@@ -92,11 +95,7 @@ pub fn evaluate_full(covariances: &[Covariance6], errors: &[[f64; 6]]) -> Option
 }
 
 /// `joint` holds eᵀR⁻¹e and ln det R of each row, if R can be inverted in every row.
-fn evaluate_joint(
-    variances: &[[f64; 6]],
-    errors: &[[f64; 6]],
-    joint: Option<(Vec<f64>, Vec<f64>)>,
-) -> Option<Metrics> {
+fn evaluate_joint(variances: &[[f64; 6]], errors: &[[f64; 6]], joint: Option<(Vec<f64>, Vec<f64>)>) -> Option<Metrics> {
     if errors.is_empty() {
         return None;
     }

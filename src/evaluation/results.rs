@@ -191,9 +191,8 @@ fn evaluate_methods(
 /// The first system beside the first one that is the truth itself, on pairs that both have.
 fn separation(predictions: &[Prediction], dataset: &Dataset) -> Option<Separation> {
     let of_system = |system: usize| predictions.iter().filter(move |prediction| prediction.system == system);
-    let is_truth = |&system: &usize| {
-        of_system(system).all(|row| row.error == [0.0; 6]) && of_system(system).next().is_some()
-    };
+    let is_truth =
+        |&system: &usize| of_system(system).all(|row| row.error == [0.0; 6]) && of_system(system).next().is_some();
     let truth = (1..dataset.systems.len()).find(is_truth)?;
     let pairs = |system: usize| of_system(system).map(|row| row.pair).collect::<BTreeSet<_>>();
     let shared: BTreeSet<_> = pairs(0).intersection(&pairs(truth)).copied().collect();

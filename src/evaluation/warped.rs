@@ -32,9 +32,8 @@ pub fn warp_pair(sample: &PairSample, device: &Device) -> Result<WarpedPair> {
     let level = |index: usize| (255.0 * planes[index % 3 * pixels + index / 3]).round().clamp(0.0, 255.0) as u8;
     let bytes: Vec<u8> = (0..3 * pixels).map(level).collect();
     let compared = (0..3 * pixels).filter(|index| valid[index / 3]);
-    let (sum, count) = compared.fold((0.0, 0_usize), |(sum, count), index| {
-        (sum + f64::from(bytes[index].abs_diff(target[index])), count + 1)
-    });
+    let (sum, count) = compared
+        .fold((0.0, 0_usize), |(sum, count), index| (sum + f64::from(bytes[index].abs_diff(target[index])), count + 1));
     Ok(WarpedPair {
         warped_image: RgbImage { width: *width, height: *height, bytes },
         valid,

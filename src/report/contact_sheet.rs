@@ -16,7 +16,8 @@ const LEAST_WIDTH: usize = 256;
 
 /// Draws a contact sheet as a PNG; all pictures have one size.
 pub fn contact_sheet(rows: &[(PairSample, WarpedPair)]) -> Vec<u8> {
-    let [width, height] = rows.first().map_or([1, 1], |(sample, _)| [sample.target_image.width, sample.target_image.height]);
+    let [width, height] =
+        rows.first().map_or([1, 1], |(sample, _)| [sample.target_image.width, sample.target_image.height]);
     let scale = LEAST_WIDTH.div_ceil(width);
     let (cell_width, cell_height) = (width * scale + GAP, height * scale + GAP);
     let columns = CONTACT_SHEET_COLUMNS.len();

@@ -21,13 +21,18 @@ pub fn mde_table(evaluation: &Evaluation) -> String {
     }
     let mut text = String::new();
     if let Some(comparison) = against_true_table(evaluation) {
-        text += &format!("\nagainst the true covariance: median of predicted / true sigma, and correlation of their logarithms\n{comparison}\n");
+        text += &format!(
+            "\nagainst the true covariance: median of predicted / true sigma, and correlation of their logarithms\n{comparison}\n"
+        );
         text += "oracle: the system's true covariance; it knows the scene and not the realised error, which the warp shows, so a model may beat it\n";
     }
     if let Some(separation) = &evaluation.separation {
         let [first, second] = &separation.systems;
         let ratios = separation.median_sigma_ratio.map(three_digits).join(" ");
-        text += &format!("\nmedian sigma of {first} / median sigma of {second} on the same images: {ratios}; AUROC of telling them apart by trace R: {:.3}\n", separation.auroc);
+        text += &format!(
+            "\nmedian sigma of {first} / median sigma of {second} on the same images: {ratios}; AUROC of telling them apart by trace R: {:.3}\n",
+            separation.auroc
+        );
     }
     if let Some(response) = &evaluation.perturbation_response {
         let correlation = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));
@@ -55,7 +60,8 @@ pub fn mde_table(evaluation: &Evaluation) -> String {
 fn against_true_table(evaluation: &Evaluation) -> Option<Table> {
     let mut table = Table::new();
     table.load_style(presets::ASCII_MARKDOWN);
-    let columns = |prefix: &str| evaluation.components.iter().map(|name| format!("{prefix} {name}")).collect::<Vec<_>>();
+    let columns =
+        |prefix: &str| evaluation.components.iter().map(|name| format!("{prefix} {name}")).collect::<Vec<_>>();
     let header = ["system", "method"].map(str::to_owned).into_iter();
     table.set_header(header.chain(columns("ratio")).chain(columns("corr.")));
     for (system, results) in &evaluation.systems {

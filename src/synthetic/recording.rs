@@ -1,5 +1,7 @@
 //! Writes drives in the KITTI raw layout: resumable, never over other data, a few frames in memory.
 
+use std::fs::File;
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -18,9 +20,9 @@ use super::systems::{SYSTEMS, measure};
 use super::world::{Moment, World};
 use crate::depth::encode_depth_png;
 use crate::error::{Error, Place, Result};
-use crate::files::{read_text, write_atomically, write_renamed};
+use crate::files::{put_in_place, read_text, write_atomically, write_renamed};
 use crate::geometry::{Pinhole, Pose};
-use crate::systems::{format_relative_pose, relative_pose_header};
+use crate::systems::{RelativePose, format_relative_pose, relative_pose_header};
 
 /// Date that all drives bear.
 const DATE: &str = "2026_01_01";
@@ -142,7 +144,9 @@ fn differences(found: &Manifest, wanted: &SyntheticSettings) -> String {
     let (old, new) = (fields(&found.settings), fields(wanted));
     let differing = new.iter().filter(|(key, value)| old.get(*key) != Some(value));
     let mut list: Vec<String> = differing
-        .map(|(key, value)| format!("{key} = {} there, {value} wanted", old.get(key).unwrap_or(&serde_json::Value::Null)))
+        .map(|(key, value)| {
+            format!("{key} = {} there, {value} wanted", old.get(key).unwrap_or(&serde_json::Value::Null))
+        })
         .collect();
     if found.version != VERSION {
         list.push(format!("version {} there, {VERSION} wanted", found.version));
@@ -182,6 +186,37 @@ impl DriveFolders {
     }
 }
 
+/// The measurements of a drive, row by row, under partial names until it is whole.
+struct MeasurementFiles<'a>(Vec<(&'a Path, PathBuf, BufWriter<File>)>);
+
+impl<'a> MeasurementFiles<'a> {
+    fn create(paths: &'a [PathBuf]) -> Result<Self> {
+        let create = |path: &'a PathBuf| {
+            let partial = path.with_extension("csv.partial");
+            let file = File::create(&partial).map_err(Error::io("write", &partial))?;
+            let mut writer = BufWriter::new(file);
+            writer.write_all(relative_pose_header().as_bytes()).map_err(Error::io("write", &partial))?;
+            Ok((path.as_path(), partial, writer))
+        };
+        Ok(Self(paths.iter().map(create).collect::<Result<_>>()?))
+    }
+
+    fn append(&mut self, poses: &[RelativePose]) -> Result<()> {
+        for ((_, partial, writer), pose) in self.0.iter_mut().zip(poses) {
+            writer.write_all(format_relative_pose(pose).as_bytes()).map_err(Error::io("write", partial))?;
+        }
+        Ok(())
+    }
+
+    fn finish(self) -> Result<()> {
+        for (path, partial, mut writer) in self.0 {
+            writer.flush().map_err(Error::io("write", &partial))?;
+            put_in_place(&partial, path)?;
+        }
+        Ok(())
+    }
+}
+
 /// Records one drive.
 struct Studio<'a> {
     settings: &'a SyntheticSettings,
@@ -200,7 +235,7 @@ impl Studio<'_> {
         self.lay_out()?;
         let mut world = World::new(self.settings, drive);
         let seed = world.seed();
-        let mut rows = SYSTEMS.map(|_| relative_pose_header());
+        let mut files = MeasurementFiles::create(&self.folders.measurements)?;
         let mut carried: Option<Moment> = None;
         let mut start = Vector3::zeros();
         let at_once = 4 * rayon::current_num_threads();
@@ -221,16 +256,13 @@ impl Studio<'_> {
                     Ok(source.map(|source| measure(self.settings, self.rig, seed, source, target)))
                 })
                 .collect::<Result<_>>()?;
-            for poses in measured.into_iter().flatten() {
-                rows.iter_mut().zip(&poses).for_each(|(rows, pose)| rows.push_str(&format_relative_pose(pose)));
+            for poses in measured.iter().flatten() {
+                files.append(poses)?;
             }
             carried = moments.into_iter().next_back();
             progress(done.load(Ordering::Relaxed))?;
         }
-        for (path, rows) in self.folders.measurements.iter().zip(rows) {
-            write_atomically(path, rows.as_bytes())?;
-        }
-        Ok(())
+        files.finish()
     }
 
     fn lay_out(&self) -> Result<()> {

@@ -90,13 +90,8 @@ pub(super) struct Road {
 
 impl Road {
     pub(super) fn new(seed: u64) -> Self {
-        let first = Segment {
-            first_m: 0.0,
-            length_m: 120.0,
-            start: Vector2::zeros(),
-            heading_rad: 0.0,
-            curvature: 0.0,
-        };
+        let first =
+            Segment { first_m: 0.0, length_m: 120.0, start: Vector2::zeros(), heading_rad: 0.0, curvature: 0.0 };
         Self { random: Random::new(seed, Purpose::Road, 0), segments: VecDeque::from([first]) }
     }
 
@@ -172,8 +167,12 @@ mod tests {
             assert!(here.heading_rad.abs() <= MAX_HEADING_RAD + 1e-9);
             for left_m in [-5.0, 0.0, 5.0] {
                 let point = here.beside(left_m);
-                let found: Vec<_> = road.between(arc_m - 1e-3, arc_m + 1e-3).filter_map(|s| s.coordinates(&point)).collect();
-                assert!(found.iter().any(|&(s, d)| (s - arc_m).abs() < 1e-6 && (d - left_m).abs() < 1e-9), "{arc_m} {found:?}");
+                let found: Vec<_> =
+                    road.between(arc_m - 1e-3, arc_m + 1e-3).filter_map(|s| s.coordinates(&point)).collect();
+                assert!(
+                    found.iter().any(|&(s, d)| (s - arc_m).abs() < 1e-6 && (d - left_m).abs() < 1e-9),
+                    "{arc_m} {found:?}"
+                );
             }
         }
     }

@@ -226,7 +226,11 @@ impl Shape {
             Self::Column { centre, radius, low, high } => {
                 let offset = ray.origin.xy() - centre;
                 let direction = ray.direction.xy();
-                let distance = nearer_root(direction.norm_squared(), direction.dot(&offset), offset.norm_squared() - radius * radius)?;
+                let distance = nearer_root(
+                    direction.norm_squared(),
+                    direction.dot(&offset),
+                    offset.norm_squared() - radius * radius,
+                )?;
                 let height = ray.origin.z + distance * ray.direction.z;
                 if !(distance < end && (*low..*high).contains(&height)) {
                     return None;
@@ -237,7 +241,11 @@ impl Shape {
             Self::Crown { centre, radius, half_height } => {
                 let squeeze = |v: Vector3<f64>| Vector3::new(v.x, v.y, v.z * radius / half_height);
                 let (offset, direction) = (squeeze(ray.origin - centre), squeeze(ray.direction));
-                let distance = nearer_root(direction.norm_squared(), direction.dot(&offset), offset.norm_squared() - radius * radius)?;
+                let distance = nearer_root(
+                    direction.norm_squared(),
+                    direction.dot(&offset),
+                    offset.norm_squared() - radius * radius,
+                )?;
                 (distance < end).then(|| (distance, squeeze(offset + distance * direction).normalize()))
             }
         }
@@ -266,7 +274,13 @@ mod tests {
     #[test]
     fn rays_meet_what_stands_nearest() {
         let scene = scene(&[
-            Shape::Block { centre: Vector2::new(30.0, 0.0), along: Vector2::new(0.6, 0.8), half: [3.0, 2.0], low: 0.0, high: 5.0 },
+            Shape::Block {
+                centre: Vector2::new(30.0, 0.0),
+                along: Vector2::new(0.6, 0.8),
+                half: [3.0, 2.0],
+                low: 0.0,
+                high: 5.0,
+            },
             Shape::Column { centre: Vector2::new(20.0, 0.0), radius: 0.5, low: 0.0, high: 4.0 },
             Shape::Crown { centre: Vector3::new(20.0, 0.0, 6.0), radius: 2.0, half_height: 1.5 },
         ]);

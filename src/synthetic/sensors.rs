@@ -69,9 +69,8 @@ impl View<'_> {
                 let offset = |step: usize| (step as f64 + 0.5) / EDGE_RAYS as f64 - 0.5;
                 let rays = (0..EDGE_RAYS * EDGE_RAYS)
                     .map(|k| self.ray(u as f64 + offset(k % EDGE_RAYS), v as f64 + offset(k / EDGE_RAYS)));
-                let sum: Colour = rays
-                    .map(|ray| shade(self.scene, self.light, &ray, &part, self.scene.cast(&ray).as_ref()))
-                    .sum();
+                let sum: Colour =
+                    rays.map(|ray| shade(self.scene, self.light, &ray, &part, self.scene.cast(&ray).as_ref())).sum();
                 colours[pixel] = sum / (EDGE_RAYS * EDGE_RAYS) as f64;
             }
         }
@@ -146,7 +145,13 @@ pub(super) fn beam_directions(steps: usize) -> Vec<Vector3<f64>> {
 }
 
 /// A scan as KITTI stores it: x, y, z (m, LiDAR axes) and reflectance, little-endian f32.
-pub(super) fn scan(scene: &Scene, world_from_velodyne: &Pose, beams: &[Vector3<f64>], seed: u64, frame: u64) -> Vec<u8> {
+pub(super) fn scan(
+    scene: &Scene,
+    world_from_velodyne: &Pose,
+    beams: &[Vector3<f64>],
+    seed: u64,
+    frame: u64,
+) -> Vec<u8> {
     let mut random = Random::new(seed, Purpose::Lidar, frame);
     let mut bytes = Vec::with_capacity(16 * beams.len());
     for beam in beams {
@@ -157,7 +162,8 @@ pub(super) fn scan(scene: &Scene, world_from_velodyne: &Pose, beams: &[Vector3<f
             continue;
         }
         // A beam is some 2 mrad wide.
-        let cone = PixelCone { right: Vector3::new(-ray.direction.y, ray.direction.x, 0.0) * 2e-3, down: Vector3::z() * 2e-3 };
+        let cone =
+            PixelCone { right: Vector3::new(-ray.direction.y, ray.direction.x, 0.0) * 2e-3, down: Vector3::z() * 2e-3 };
         let colour = albedo(scene, &ray, &cone, &hit);
         let reflectance = ((colour.x + colour.y + colour.z) / 3.0).clamp(0.0, 1.0);
         let point = beam * (hit.distance + noise);

@@ -88,7 +88,8 @@ impl Street {
                 let setback = 8.2 + random.between(0.0, 1.0) * random.uniform() * 6.0;
                 let half = [BLOCK_M * random.between(0.42, 0.52), 5.0];
                 let shade = random.between(0.25, 0.75);
-                let colour = [0.0, 0.0, 0.0].map(|_: f64| (shade + random.between(-0.12, 0.12)).clamp(0.12, 0.85) as f32);
+                let colour =
+                    [0.0, 0.0, 0.0].map(|_: f64| (shade + random.between(-0.12, 0.12)).clamp(0.12, 0.85) as f32);
                 let window_m = (2.0 * half[0] / (2.0 * half[0] / random.between(2.0, 4.0)).round()) as f32;
                 let high = random.between(5.0, 16.0);
                 let surface = Surface::Facade { colour, richness: richness as f32, window_m };
@@ -102,7 +103,12 @@ impl Street {
             let tree = along(0.1 + 0.5 * richness);
             let parked = [along(0.2 + 0.3 * richness), along(0.15)];
             if let Some(arc_m) = pole {
-                let shape = |centre| Shape::Column { centre, radius: random.between(0.06, 0.13), low: 0.0, high: random.between(4.0, 8.0) };
+                let shape = |centre| Shape::Column {
+                    centre,
+                    radius: random.between(0.06, 0.13),
+                    low: 0.0,
+                    high: random.between(4.0, 8.0),
+                };
                 place.upright(&road.at(arc_m), left * 6.15, shape, Surface::Pole);
             }
             if let Some(arc_m) = tree {
@@ -225,7 +231,12 @@ mod tests {
         let street = Street { seed: 11 };
         let mut road = Road::new(11);
         for step in 0..30 {
-            let state = CarState { time_s: 0.0, arc_m: 100.0 + 60.0 * f64::from(step), speed_m_s: 10.0, acceleration: [0.0; 2] };
+            let state = CarState {
+                time_s: 0.0,
+                arc_m: 100.0 + 60.0 * f64::from(step),
+                speed_m_s: 10.0,
+                acceleration: [0.0; 2],
+            };
             Street::cover(&mut road, &state);
             let (scene, moving) = street.scene(&road, &state);
             assert!(scene.things.len() > 40);
@@ -234,7 +245,11 @@ mod tests {
                 Shape::Block { centre, along, half, .. } => [-1.0, 1.0].iter().any(|u| {
                     [-1.0, 1.0].iter().any(|v| {
                         let corner = centre + along * (u * half[0]) + Vector2::new(-along.y, along.x) * (v * half[1]);
-                        scene.road.iter().filter_map(|s| s.coordinates(&corner)).any(|(_, d)| d.abs() < ROAD_HALF_M - 0.3)
+                        scene
+                            .road
+                            .iter()
+                            .filter_map(|s| s.coordinates(&corner))
+                            .any(|(_, d)| d.abs() < ROAD_HALF_M - 0.3)
                     })
                 }),
                 _ => false,

@@ -165,7 +165,11 @@ fn thing_albedo(thing: &Thing, spot: &Spot, normal: &Vector3<f64>) -> Colour {
         Surface::CarBody { colour } => {
             let wheels = stripes(u + 1.7, 2.6, 0.0, 0.62, width_u) * band(v, 0.0, 0.62, width_v);
             let sides = if normal.z > 0.5 { 0.0 } else { wheels };
-            let lights = if normal.z > 0.5 { 0.0 } else { 0.5 * stripes(u, 1.3, 0.0, 0.2, width_u) * band(v, 0.6, 0.75, width_v) };
+            let lights = if normal.z > 0.5 {
+                0.0
+            } else {
+                0.5 * stripes(u, 1.3, 0.0, 0.2, width_u) * band(v, 0.6, 0.75, width_v)
+            };
             let paint = tint(colour) * (1.0 + 0.04 * noise(spot, 0.12, thing.key));
             let body = paint + (Colour::repeat(0.05) - paint) * sides;
             body + (Colour::new(0.8, 0.7, 0.6) - body) * lights

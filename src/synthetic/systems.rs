@@ -41,7 +41,13 @@ const ICP_RANGE_M: f64 = 80.0;
 const ICP_NOISE_M: f64 = 0.12;
 
 /// What all systems measured between two neighbouring frames, in the order of [`SYSTEMS`].
-pub(super) fn measure(settings: &SyntheticSettings, rig: &Rig, seed: u64, source: &Moment, target: &Moment) -> [RelativePose; 4] {
+pub(super) fn measure(
+    settings: &SyntheticSettings,
+    rig: &Rig,
+    seed: u64,
+    source: &Moment,
+    target: &Moment,
+) -> [RelativePose; 4] {
     let motion = source.world_from_vehicle.inverse() * target.world_from_vehicle;
     let camera_motion = motion.conjugated_by(&rig.calibration.camera2_from_vehicle);
     let measured = [
@@ -75,7 +81,13 @@ pub(super) fn draw_error(covariance: &Covariance6, random: &mut Random) -> Vecto
 /// source frame, pixel noise `σ² = σ₀² (1 + (30/contrast)²)` (the fainter a corner, the less surely it
 /// is found: Förstner 1987) and a weak motion prior Λ. Landmarks on a moving car that pass the outlier gate shift
 /// the estimate by `w`; how much of it remains is drawn anew for each car: Σ grows by `w wᵀ`.
-fn stereo_odometry_covariance(settings: &SyntheticSettings, rig: &Rig, seed: u64, source: &Moment, target: &Moment) -> Covariance6 {
+fn stereo_odometry_covariance(
+    settings: &SyntheticSettings,
+    rig: &Rig,
+    seed: u64,
+    source: &Moment,
+    target: &Moment,
+) -> Covariance6 {
     let vehicle_from_camera = rig.vehicle_from_camera2();
     let view = View {
         scene: &target.scene,

@@ -135,7 +135,9 @@ mod tests {
     fn filtered_noise_is_the_mean_of_the_noise_under_the_footprint() {
         let noise = Noise::table();
         // Aligned with a cell of level (2, 1): 4 columns, 2 rows.
-        let mean = (0..8).map(|k| noise.sample([f64::from(k % 4) + 40.5, f64::from(k / 4) + 12.5], [1.0; 2])).sum::<f64>() / 8.0;
+        let mean =
+            (0..8).map(|k| noise.sample([f64::from(k % 4) + 40.5, f64::from(k / 4) + 12.5], [1.0; 2])).sum::<f64>()
+                / 8.0;
         assert!((noise.sample([42.0, 13.0], [4.0, 2.0]) - mean).abs() < 1e-6);
         assert!(noise.sample([3.3, 9.9], [1e9, 1e9]).abs() < 1e-5);
     }
@@ -143,7 +145,9 @@ mod tests {
     #[test]
     fn noise_has_mean_zero_and_variance_one_and_repeats() {
         let noise = Noise::table();
-        let cells: Vec<f64> = (0..SIZE * SIZE).map(|k| noise.sample([(k % SIZE) as f64 + 0.5, (k / SIZE) as f64 + 0.5], [1.0; 2])).collect();
+        let cells: Vec<f64> = (0..SIZE * SIZE)
+            .map(|k| noise.sample([(k % SIZE) as f64 + 0.5, (k / SIZE) as f64 + 0.5], [1.0; 2]))
+            .collect();
         let mean = cells.iter().sum::<f64>() / cells.len() as f64;
         let variance = cells.iter().map(|cell| cell * cell).sum::<f64>() / cells.len() as f64;
         assert!(mean.abs() < 1e-4 && (variance - 1.0).abs() < 1e-3);

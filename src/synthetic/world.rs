@@ -78,11 +78,8 @@ impl World {
         let moments = if blurred { &BLUR_MOMENTS[..] } else { &BLUR_MOMENTS[..1] };
         let exposed_from = moments.iter().map(|&part| {
             let later_s = part * self.settings.shutter_s;
-            let later = CarState {
-                time_s: state.time_s + later_s,
-                arc_m: state.arc_m + later_s * state.speed_m_s,
-                ..state
-            };
+            let later =
+                CarState { time_s: state.time_s + later_s, arc_m: state.arc_m + later_s * state.speed_m_s, ..state };
             self.body.pose(&later, &self.road).0
         });
         let exposed_from = exposed_from.collect();

@@ -55,8 +55,12 @@ pub fn load_measurements(
     root: &Path,
     true_poses: &Trajectory,
 ) -> Result<Measurements> {
-    let found =
-        |frame, relative_poses| Measurements { frame, relative_poses, covariances: BTreeMap::new(), missing_file: None };
+    let found = |frame, relative_poses| Measurements {
+        frame,
+        relative_poses,
+        covariances: BTreeMap::new(),
+        missing_file: None,
+    };
     let missing = |frame, path| Measurements { missing_file: Some(path), ..found(frame, BTreeMap::new()) };
     Ok(match source {
         SystemSource::Truth {} => found(MeasurementFrame::Vehicle, consecutive(true_poses)),

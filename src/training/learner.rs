@@ -134,7 +134,7 @@ impl Learner {
         if manifest.experiment_fingerprint != config.experiment_fingerprint() {
             return Err(Error::run(
                 run.path(),
-                "was started with other settings; a resumed run may change its device, data.root, data.max_bad_fraction, data.cache_mb, and of training: epochs, stop, learning_rate, micro_batch, loader_threads, prefetch, prefetch_mb; start a new run for others",
+                "was started with other settings; a resumed run may change its device, data.root, data.max_bad_fraction, data.cache_mb, and of training: epochs, stop, learning_rate, schedule, micro_batch, loader_threads, prefetch, prefetch_mb; start a new run for others",
             ));
         }
         if manifest.data_fingerprint != dataset.fingerprint() {
@@ -298,7 +298,8 @@ impl Learner {
                 batch + 1
             )));
         }
-        let learning_rate = self.config.training.learning_rate;
+        let share = batch as f64 / (self.config.training.epochs * self.batches_per_epoch()) as f64;
+        let learning_rate = self.config.training.learning_rate * self.config.training.schedule.factor(share);
         let model = self.model.take().expect("put back by the step before");
         self.model = Some(self.optimiser.step(learning_rate, model, gradients.grads()));
         for (pair, loss) in learned.into_iter().zip(losses) {

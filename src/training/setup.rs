@@ -79,10 +79,8 @@ pub(super) fn constant_loss(dataset: &Dataset, watched: SplitName, manifest: &Ma
         .map(|(index, (system, range))| {
             let usable = system.mean_squared_error.iter().all(|&value| value > 0.0);
             let log_variance = system.mean_squared_error.map(f64::ln);
-            let constant: Vec<Prediction> = split.pairs[range.clone()]
-                .iter()
-                .map(|pair| Prediction::new(pair, log_variance))
-                .collect();
+            let constant: Vec<Prediction> =
+                split.pairs[range.clone()].iter().map(|pair| Prediction::new(pair, log_variance)).collect();
             mean_loss(&constant, index).filter(|_| usable)
         })
         .collect()

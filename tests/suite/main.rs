@@ -5,5 +5,6 @@ mod devices;
 mod kitti;
 mod oracles;
 mod support;
+mod synth_cli;
 mod synthetic;
 mod training;

@@ -38,7 +38,9 @@ fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
             let path = entry.unwrap().path();
             match path.is_dir() {
                 true => folders.push(path),
-                false => drop(files.insert(path.strip_prefix(folder).unwrap().to_owned(), std::fs::read(&path).unwrap())),
+                false => {
+                    drop(files.insert(path.strip_prefix(folder).unwrap().to_owned(), std::fs::read(&path).unwrap()))
+                }
             }
         }
     }
@@ -162,7 +164,10 @@ fn packets_return_the_poses_the_measurements_were_made_from() {
     let settings = plain(40);
     let folder = rendered(&settings);
     let drive = Drive::load(folder.path(), DRIVE).unwrap();
-    assert_eq!((drive.images.len(), drive.right_images.len(), drive.scans.len(), drive.oxts_poses.len()), (40, 40, 40, 40));
+    assert_eq!(
+        (drive.images.len(), drive.right_images.len(), drive.scans.len(), drive.oxts_poses.len()),
+        (40, 40, 40, 40)
+    );
     assert!(drive.problems.is_empty() && drive.timestamps_s.len() == 40);
     // With hardly any pixel noise the visual odometry's error is far below a millimetre.
     let exact = SyntheticSettings { vo_pixel_noise: 1e-7, ..settings };
@@ -234,7 +239,8 @@ fn every_measurement_states_its_covariance_and_its_errors_fit_it() {
         let mut distances = 0.0;
         for pose in &measured {
             let motion = drive.oxts_poses[&pose.source].inverse() * drive.oxts_poses[&pose.target];
-            let truth = if system == "vo" { motion.conjugated_by(&drive.calibration.camera2_from_vehicle) } else { motion };
+            let truth =
+                if system == "vo" { motion.conjugated_by(&drive.calibration.camera2_from_vehicle) } else { motion };
             let error = Pose::error(&pose.source_from_target, &truth);
             let factor = pose.covariance.unwrap().matrix().cholesky().unwrap();
             distances += error.dot(&factor.solve(&error));

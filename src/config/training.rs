@@ -1,0 +1,113 @@
+//! How a run is trained: mini-batches, steps, what is watched, when to stop.
+
+use serde::{Deserialize, Serialize};
+
+/// How the network is trained.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct TrainingConfig {
+    /// Pairs in a mini-batch. Default: 84 (paper Section V-A).
+    pub batch: usize,
+    /// Pairs that are on the device at once; the gradient is that of the whole batch. Default: 12.
+    pub micro_batch: usize,
+    /// Adam's learning rate. Default: 1e-4 (paper Section V-A).
+    pub learning_rate: f64,
+    /// How it changes over the epochs. Default: constant (the paper).
+    pub schedule: Schedule,
+    /// Most epochs. Default: 100.
+    pub epochs: usize,
+    /// Mini-batches in an epoch. Default: until the first system's pairs were seen once.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub batches_per_epoch: Option<usize>,
+    /// Which pairs the stop rule and the best checkpoint watch. Default: validation. `test` is the
+    /// paper's way, and leaks.
+    pub watch: WatchedSplit,
+    /// The system whose loss they watch. Default: the first.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub watch_system: Option<String>,
+    /// When to stop.
+    pub stop: StopConfig,
+    /// Threads that read and resize images. Default: 2.
+    pub loader_threads: usize,
+    /// Most micro-batches kept ready ahead of the network. Default: 4.
+    pub prefetch: usize,
+    /// Most memory that micro-batches kept ready may take, MB; one is kept ready in any case.
+    /// Default: 256.
+    pub prefetch_mb: usize,
+}
+
+impl Default for TrainingConfig {
+    fn default() -> Self {
+        Self {
+            batch: 84,
+            micro_batch: 12,
+            learning_rate: 1e-4,
+            schedule: Schedule::default(),
+            epochs: 100,
+            batches_per_epoch: None,
+            watch: WatchedSplit::default(),
+            watch_system: None,
+            stop: StopConfig::default(),
+            loader_threads: 2,
+            prefetch: 4,
+            prefetch_mb: 256,
+        }
+    }
+}
+
+/// The learning rate over a training.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Schedule {
+    /// The same in every step.
+    #[default]
+    Constant,
+    /// Rises linearly during the first 5 % of `training.epochs`, then falls along half a cosine to zero
+    /// (Loshchilov and Hutter 2017): noise of the steps dies away towards the end.
+    Cosine,
+}
+
+impl Schedule {
+    /// Factor of the learning rate at a share of the training, 0 to 1.
+    pub fn factor(self, share: f64) -> f64 {
+        const RISE: f64 = 0.05;
+        match self {
+            Self::Constant => 1.0,
+            Self::Cosine if share < RISE => (share / RISE).max(0.01),
+            Self::Cosine => 0.5 * (1.0 + (std::f64::consts::PI * ((share - RISE) / (1.0 - RISE)).min(1.0)).cos()),
+        }
+    }
+}
+
+/// The split that the stop rule and the best checkpoint watch.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum WatchedSplit {
+    /// Held-out pairs.
+    #[default]
+    Validation,
+    /// The test pairs (the paper).
+    Test,
+}
+
+/// When training and evaluation loss count as diverging; see [`crate::training::DivergenceRule`].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct StopConfig {
+    /// Whether to stop before `training.epochs` at all. Default: true.
+    pub enabled: bool,
+    /// Epochs in the moving mean of both losses. Default: 3.
+    pub smoothing: usize,
+    /// Epochs since the lowest smoothed evaluation loss. Default: 5.
+    pub window: usize,
+    /// Least rise of the smoothed evaluation loss over its lowest, nats. Default: 0.05.
+    pub tolerance: f64,
+    /// Epochs before which the rule is silent. Default: 10.
+    pub min_epochs: usize,
+}
+
+impl Default for StopConfig {
+    fn default() -> Self {
+        Self { enabled: true, smoothing: 3, window: 5, tolerance: 0.05, min_epochs: 10 }
+    }
+}
