@@ -90,13 +90,7 @@ pub fn evaluate(
     let bad_frames = reader.bad_frames();
     let mut evaluation =
         evaluate_run(&predictions, &dataset, &manifest, run_path, split, device_name(&device), &bad_frames)?;
-    let first = manifest.systems.iter().find(|summary| summary.name == dataset.systems[0]);
-    if let Some(constant) =
-        first.map(|summary| summary.mean_squared_error).filter(|variance| variance.iter().all(|&v| v > 0.0))
-    {
-        let scale = (manifest.conventions.error_frame, constant);
-        evaluation.perturbation_response = perturbation_response(&model, &reader, &dataset, pairs, scale, &device)?;
-    }
+    evaluation.perturbation_response = perturbation_response(&model, &reader, &dataset, pairs, &manifest, &device)?;
     // The table first: a folder that cannot be written must not cost it.
     print_result(&mde_table(&evaluation))?;
     for (system, results) in &evaluation.systems {

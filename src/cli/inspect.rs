@@ -6,13 +6,14 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use comfy_table::{CellAlignment, Table, presets};
 
-use super::{Terminal, print_result, synth};
+use super::print_result;
 use crate::config::Config;
 use crate::data::{Coverage, Dataset, Pair, PairId, PairReader, PairScope, SplitName};
 use crate::device::open_device;
 use crate::evaluation::warp_pair;
 use crate::files::write_atomically;
 use crate::report::{CONTACT_SHEET_COLUMNS, contact_sheet};
+use crate::synthetic::is_rendered;
 
 /// Arguments of `relcov inspect`.
 #[derive(Args)]
@@ -39,9 +40,17 @@ pub struct InspectArguments {
     pairs: u8,
 }
 
-pub fn run(arguments: InspectArguments, terminal: &Terminal) -> anyhow::Result<()> {
+pub fn run(arguments: &InspectArguments) -> anyhow::Result<()> {
     let config = Config::load(&arguments.config, &arguments.set)?;
-    synth::make_if_asked(&config, terminal)?;
+    if let Some(settings) = config.data.synthetic.as_ref().filter(|settings| !is_rendered(&config.data.root, settings))
+    {
+        anyhow::bail!(
+            "{}: the synthetic data set ({} frames) is not rendered yet, or is another; render it with: relcov synth --config {} (train does it by itself)",
+            config.data.root.display(),
+            settings.drives * settings.frames,
+            arguments.config.display()
+        );
+    }
     let dataset = Dataset::load(&config, PairScope::Images)?;
     print_result(&describe(&config, &dataset))?;
     match &arguments.contact_sheet {
@@ -57,9 +66,10 @@ fn draw_contact_sheet(path: &Path, pairs: usize, config: &Config, dataset: &Data
     splits.iter().flat_map(|split| &split.pairs).for_each(|pair| measured.entry(pair.id).or_default().push(pair));
     anyhow::ensure!(!measured.is_empty(), "no pair has images and depth: there is nothing to draw");
     let reader = PairReader::new(config, dataset, SplitName::Test);
-    let device = open_device("flex")?;
+    let device = open_device(&config.device)?;
     let (mut rows, mut legend) = (Vec::new(), String::new());
     let count = measured.len();
+    let pairs = pairs.min(count);
     for pair in (0..pairs).filter_map(|row| measured.values().nth((2 * row + 1) * count / (2 * pairs))).flatten() {
         let Some(sample) = reader.read(pair)? else { continue };
         let warped = warp_pair(&sample, &device)?;
@@ -74,6 +84,7 @@ fn draw_contact_sheet(path: &Path, pairs: usize, config: &Config, dataset: &Data
         );
         rows.push((sample, warped));
     }
+    anyhow::ensure!(!rows.is_empty(), "none of the chosen pairs can be read; the warnings above say why");
     write_atomically(path, &contact_sheet(&rows))?;
     print_result(&format!("{}: columns: {}\n{legend}", path.display(), CONTACT_SHEET_COLUMNS.join(" | ")))
 }

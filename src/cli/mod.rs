@@ -82,7 +82,7 @@ pub fn run() -> ExitCode {
     let outcome = match arguments.command {
         Command::Train(arguments) => train::run(arguments, &terminal),
         Command::Eval(arguments) => eval::run(arguments, &terminal),
-        Command::Inspect(arguments) => inspect::run(arguments, &terminal),
+        Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Synth(arguments) => synth::run(&arguments, &terminal),
     };
     match outcome {

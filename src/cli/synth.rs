@@ -8,7 +8,7 @@ use clap::Args;
 use super::progress::{Progress, note};
 use super::{Terminal, print_result};
 use crate::config::Config;
-use crate::synthetic::{Recording, Replace, SyntheticSettings, record};
+use crate::synthetic::{RecordingProgress, Replace, SyntheticSettings, record};
 
 /// Arguments of `relcov synth`.
 #[derive(Args)]
@@ -16,14 +16,18 @@ use crate::synthetic::{Recording, Replace, SyntheticSettings, record};
   relcov synth --out data/street
   relcov synth --out data/street --drives 8 --frames 500 --size 512x160 --seed 7
   relcov synth --out data/street --image-noise 2 --shutter 0.01
+  relcov synth --config configs/synthetic.toml
 
 The folder has the KITTI raw layout, with depth maps beside the images and measurements of four
 systems (vo, wheel, icp, coarse_gnss) with their true covariances. The same settings give the same
 bytes on every machine. An interrupted command continues where it stopped.")]
 pub struct SynthArguments {
     /// Folder of the data set
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
+    #[arg(long, value_name = "DIR", required_unless_present = "config")]
+    out: Option<PathBuf>,
+    /// Render what a configuration asks for (data.synthetic), where it asks for it (data.root)
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["out", "seed", "drives", "frames", "size", "lidar_steps", "image_noise", "shutter", "exposure_jitter", "vo_pixel_noise", "vo_landmarks"])]
+    config: Option<PathBuf>,
     /// Seed of all worlds
     #[arg(long, default_value_t = SyntheticSettings::default().seed)]
     seed: u64,
@@ -54,7 +58,7 @@ pub struct SynthArguments {
     /// Most landmarks it follows
     #[arg(long, value_name = "N", default_value_t = SyntheticSettings::default().vo_landmarks)]
     vo_landmarks: usize,
-    /// Replace a synthetic data set with other settings
+    /// Replace the synthetic data set that is there
     #[arg(long)]
     force: bool,
 }
@@ -65,7 +69,23 @@ fn parse_size(text: &str) -> Result<[usize; 2], String> {
 }
 
 pub fn run(arguments: &SynthArguments, terminal: &Terminal) -> anyhow::Result<()> {
-    let settings = SyntheticSettings {
+    let replace = if arguments.force { Replace::Synthetic } else { Replace::Never };
+    let (out, settings) = match (&arguments.config, &arguments.out) {
+        (Some(path), _) => {
+            let config = Config::load(path, &[])?;
+            let asks_for_none =
+                || format!("{}: has no table data.synthetic: there is nothing to render", path.display());
+            (config.data.root, config.data.synthetic.with_context(asks_for_none)?)
+        }
+        (None, Some(out)) => (out.clone(), settings(arguments)),
+        (None, None) => unreachable!("clap requires one of them"),
+    };
+    make(&out, &settings, replace, terminal)?;
+    print_result(&format!("{}\n", out.display()))
+}
+
+fn settings(arguments: &SynthArguments) -> SyntheticSettings {
+    SyntheticSettings {
         seed: arguments.seed,
         drives: arguments.drives,
         frames: arguments.frames,
@@ -76,25 +96,22 @@ pub fn run(arguments: &SynthArguments, terminal: &Terminal) -> anyhow::Result<()
         exposure_jitter: arguments.exposure_jitter,
         vo_pixel_noise: arguments.vo_pixel_noise,
         vo_landmarks: arguments.vo_landmarks,
-    };
-    let replace = if arguments.force { Replace::Synthetic } else { Replace::Never };
-    make(&arguments.out, &settings, replace, terminal)?;
-    print_result(&format!("{}\n", arguments.out.display()))
+    }
 }
 
-/// Makes the data set that a configuration describes, if it is not there yet.
+/// Makes the data set that a configuration asks for, if it is not there yet.
 pub fn make_if_asked(config: &Config, terminal: &Terminal) -> anyhow::Result<()> {
     let Some(settings) = &config.data.synthetic else { return Ok(()) };
     let root = &config.data.root;
     make(root, settings, Replace::Never, terminal).with_context(|| {
-        format!("the configuration asks for a synthetic data set (data.synthetic) at data.root = {}", root.display())
+        format!("the configuration asks for a synthetic data set (data.synthetic) at data.root = {}; `relcov synth --config FILE` renders it, with --force in place of another", root.display())
     })
 }
 
 fn make(out: &Path, settings: &SyntheticSettings, replace: Replace, terminal: &Terminal) -> anyhow::Result<()> {
     let begin = std::time::Instant::now();
     let mut progress: Option<Progress> = None;
-    let made = record(out, settings, replace, &mut |Recording { done, frames }| {
+    let made = record(out, settings, replace, &mut |RecordingProgress { done, frames }| {
         progress
             .get_or_insert_with(|| Progress::new(terminal.quiet, "rendering", 0, frames))
             .set(done, "stereo frames");
@@ -107,8 +124,9 @@ fn make(out: &Path, settings: &SyntheticSettings, replace: Replace, terminal: &T
         note(
             terminal.quiet,
             &format!(
-                "made a synthetic data set in {}: {drives} drives of {frames} frames, {width}x{height}, {seconds:.0} s",
-                out.display()
+                "made a synthetic data set in {}: {} frames ({drives} x {frames}), {width}x{height}, {seconds:.0} s",
+                out.display(),
+                drives * frames
             ),
         );
     }

@@ -67,18 +67,6 @@ pub enum Schedule {
     Cosine,
 }
 
-impl Schedule {
-    /// Factor of the learning rate at a share of the training, 0 to 1.
-    pub fn factor(self, share: f64) -> f64 {
-        const RISE: f64 = 0.05;
-        match self {
-            Self::Constant => 1.0,
-            Self::Cosine if share < RISE => (share / RISE).max(0.01),
-            Self::Cosine => 0.5 * (1.0 + (std::f64::consts::PI * ((share - RISE) / (1.0 - RISE)).min(1.0)).cos()),
-        }
-    }
-}
-
 /// The split that the stop rule and the best checkpoint watch.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

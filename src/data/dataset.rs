@@ -12,12 +12,15 @@ use super::pairing::Pairing;
 use crate::config::{Config, DriveConfig, WatchedSplit};
 use crate::error::{Error, Result};
 use crate::geometry::{Covariance6, Pose, Tangent};
+use crate::synthetic::is_synthetic;
 
 /// What an experiment works with.
 #[derive(Clone, Debug)]
 pub struct Dataset {
     /// Folder of the data.
     pub root: PathBuf,
+    /// Whether it was rendered, so that the covariances its measurements state are the true ones.
+    pub synthetic: bool,
     /// Every drive named by a split, once.
     pub drives: Vec<Drive>,
     /// Names of the systems.
@@ -158,6 +161,7 @@ impl Dataset {
         let systems = config.systems.len();
         let dataset = Self {
             root: config.data.root.clone(),
+            synthetic: is_synthetic(&config.data.root),
             drives: pairing.into_drives(),
             systems: config.systems.iter().map(|system| system.name.clone()).collect(),
             train: Split::new(SplitName::Train, train, systems),

@@ -9,9 +9,10 @@ use serde::Serialize;
 use super::prediction::read_values;
 use super::ranks::spearman;
 use crate::data::{Dataset, Pair, PairBatch, PairReader, PairSample, Split};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::geometry::{ErrorFrame, Pose, Tangent};
 use crate::model::CovarianceModel;
+use crate::training::Manifest;
 
 /// Images that are perturbed, and perturbations of each.
 const IMAGES: usize = 64;
@@ -34,9 +35,10 @@ pub struct PerturbationResponse {
 }
 
 /// Perturbs images of a split: `ε = s u σ`, u a random direction, s log-uniform from 0.1 to 10, σ the
-/// system's constant standard deviations.
+/// first system's constant standard deviations.
 ///
-/// `None` in world axes, in which an image alone has no place.
+/// `None` in world axes, in which an image alone has no place, and for a system the run was not trained
+/// on or that has no errors.
 ///
 /// # Errors
 /// Too many frames are unreadable, or the device failed.
@@ -45,10 +47,15 @@ pub fn perturbation_response(
     reader: &PairReader,
     dataset: &Dataset,
     split: &Split,
-    (frame, constant_variance): (ErrorFrame, [f64; 6]),
+    manifest: &Manifest,
     device: &Device,
 ) -> Result<Option<PerturbationResponse>> {
-    let camera_from_frame = |pair: &Pair| match frame {
+    let first = manifest.systems.iter().find(|summary| summary.name == dataset.systems[0]);
+    let constant = first.map(|summary| summary.mean_squared_error);
+    let Some(constant_variance) = constant.filter(|variance| variance.iter().all(|&value| value > 0.0)) else {
+        return Ok(None);
+    };
+    let camera_from_frame = |pair: &Pair| match manifest.conventions.error_frame {
         ErrorFrame::Vehicle => Some(dataset.drives[pair.id.drive].calibration.camera2_from_vehicle),
         ErrorFrame::Camera => Some(Pose::identity()),
         ErrorFrame::World => None,
@@ -62,7 +69,7 @@ pub fn perturbation_response(
         let Some(sample) = reader.read(pair)? else { continue };
         let perturbations: Vec<Tangent> = (0..PERTURBATIONS)
             .map(|_| {
-                let direction = Tangent::from_fn(|_, _| random.random_range(-1.0..1.0_f64)).normalize();
+                let direction = Tangent::from_fn(|_, _| standard_normal(&mut random)).normalize();
                 let size = (SIZE[0].ln() + (SIZE[1] / SIZE[0]).ln() * random.random_range(0.0..1.0)).exp();
                 size * direction.component_mul(&Tangent::from(constant_variance.map(f64::sqrt)))
             })
@@ -76,6 +83,11 @@ pub fn perturbation_response(
             })
             .collect();
         let log_variances = read_values(model.forward(&PairBatch::new(&samples, device)))?;
+        if let Some(bad) = log_variances.iter().find(|value| !value.is_finite()) {
+            return Err(Error::Training(format!(
+                "the model predicts {bad} for a perturbed pose; its weights are not usable"
+            )));
+        }
         for (perturbation, log_variance) in perturbations.iter().zip(log_variances.chunks_exact(6)) {
             let relative = |c: usize| (0.5 * log_variance[c]).exp() / constant_variance[c].sqrt();
             sigmas.push((0..6).map(|c| relative(c).ln()).sum::<f64>() / 6.0);
@@ -101,4 +113,10 @@ pub fn perturbation_response(
         spearman_by_component: std::array::from_fn(|c| spearman(&components[c], &component_sigmas[c])),
         median_sigma_by_third: [0, 1, 2].map(third),
     }))
+}
+
+/// Box and Muller 1958.
+fn standard_normal(random: &mut ChaCha8Rng) -> f64 {
+    let radius = (-2.0 * (1.0 - random.random_range(0.0..1.0_f64)).ln()).sqrt();
+    radius * (std::f64::consts::TAU * random.random_range(0.0..1.0_f64)).cos()
 }

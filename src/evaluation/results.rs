@@ -31,11 +31,13 @@ pub enum MethodName {
     Constant,
     /// [`LogLinear`](super::LogLinear) in the measured motion, fitted to the training set.
     LogLinear,
-    /// The covariance that each measurement states: the system's true one in simulated data. It knows
-    /// the scene and not the realised error, so a model that sees misalignment may beat it.
+    /// The system's true covariance, known in rendered data. It knows the scene and not the realised
+    /// error, so a model that sees misalignment may beat it.
     Oracle,
     /// The diagonal of the same: the best that a diagonal covariance can say without seeing the error.
     OracleDiagonal,
+    /// What the system itself says of its covariance, in recorded data.
+    Stated,
 }
 
 impl MethodName {
@@ -48,6 +50,7 @@ impl MethodName {
             Self::LogLinear => "log_linear",
             Self::Oracle => "oracle",
             Self::OracleDiagonal => "oracle_diagonal",
+            Self::Stated => "stated",
         }
     }
 }
@@ -129,7 +132,7 @@ pub fn evaluate_run(
             )));
         }
         let summary = manifest.systems.iter().find(|summary| &summary.name == name);
-        let methods = evaluate_methods(&rows, summary, manifest.architecture.log_variance_floor);
+        let methods = evaluate_methods(&rows, summary, manifest.architecture.log_variance_floor, dataset.synthetic);
         systems.push((name.clone(), SystemEvaluation { pairs: rows.len(), methods }));
     }
     let Conventions { error, error_frame, components, units, .. } = manifest.conventions.clone();
@@ -157,12 +160,14 @@ fn evaluate_methods(
     rows: &[&Prediction],
     summary: Option<&SystemSummary>,
     floor: Option<[f64; 6]>,
+    synthetic: bool,
 ) -> Vec<(&'static str, Metrics)> {
     let errors: Vec<[f64; 6]> = rows.iter().map(|row| row.error).collect();
-    // The oracle speaks when every measurement states its covariance.
     let stated: Option<Vec<Covariance6>> = rows.iter().map(|row| row.stated_covariance).collect();
-    let true_variances: Option<Vec<[f64; 6]>> =
-        stated.as_ref().map(|stated| stated.iter().map(|covariance| covariance.variance().into()).collect());
+    let true_variances: Option<Vec<[f64; 6]>> = stated
+        .as_ref()
+        .filter(|_| synthetic)
+        .map(|stated| stated.iter().map(|covariance| covariance.variance().into()).collect());
     let against_true = |variances: &[[f64; 6]]| AgainstTrue::compare(variances, true_variances.as_deref()?);
     let diagonal = |method: MethodName, variances: Vec<[f64; 6]>| {
         let metrics = evaluate(&variances, &errors).expect("not empty");
@@ -179,11 +184,12 @@ fn evaluate_methods(
         let variances = rows.iter().map(|row| log_linear.variance(&row.motion)).collect();
         methods.push(diagonal(MethodName::LogLinear, variances));
     }
-    if let (Some(stated), Some(variances)) = (&stated, &true_variances) {
-        let full = evaluate_full(stated, &errors).expect("not empty");
-        methods.push((MethodName::Oracle.name(), full));
-        let metrics = evaluate(variances, &errors).expect("not empty");
-        methods.push((MethodName::OracleDiagonal.name(), metrics));
+    if let Some(stated) = &stated {
+        let name = if synthetic { MethodName::Oracle } else { MethodName::Stated }.name();
+        methods.push((name, evaluate_full(stated, &errors).expect("not empty")));
+    }
+    if let Some(variances) = &true_variances {
+        methods.push((MethodName::OracleDiagonal.name(), evaluate(variances, &errors).expect("not empty")));
     }
     methods
 }

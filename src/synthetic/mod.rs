@@ -7,7 +7,9 @@
 //! reaches a file is computed with `libm` and not with the platform's functions.
 //! Knows nothing of networks and training.
 
+mod folder;
 mod motion;
+mod odometry;
 mod packets;
 mod random;
 mod recording;
@@ -22,6 +24,7 @@ mod systems;
 mod texture;
 mod world;
 
-pub use recording::{Recording, Replace, record};
+pub use folder::{Replace, is_rendered, is_synthetic};
+pub use recording::{RecordingProgress, record};
 pub use settings::SyntheticSettings;
 pub use systems::SYSTEMS;

@@ -14,12 +14,12 @@ pub(super) const LANE_M: f64 = -1.75;
 /// Height of the vehicle's origin (the IMU) above the road, m.
 const ORIGIN_HEIGHT_M: f64 = 0.93;
 /// Arc length of the first frame: there is a road behind it too, m.
-const START_M: f64 = 60.0;
+const START_M: f64 = 150.0;
 
 const MAX_SPEED_M_S: f64 = 20.0;
-const LATERAL_ACCELERATION: f64 = 2.5;
-const BRAKING: f64 = 3.0;
-const DRIVING_ACCELERATION: f64 = 2.2;
+const MAX_LATERAL_M_S2: f64 = 2.5;
+const BRAKING_M_S2: f64 = 3.0;
+const DRIVING_M_S2: f64 = 2.2;
 /// How far ahead the driver looks, m.
 const LOOK_AHEAD_M: f64 = 80.0;
 /// Share of a change in acceleration that the springs pass on within a frame.
@@ -33,7 +33,7 @@ pub(super) struct CarState {
     pub arc_m: f64,
     pub speed_m_s: f64,
     /// Forward and leftward acceleration as the springs pass it on, m/s².
-    pub acceleration: [f64; 2],
+    pub acceleration_m_s2: [f64; 2],
 }
 
 /// Drives the car frame by frame.
@@ -53,7 +53,7 @@ impl Driver {
         let mut random = Random::new(seed, Purpose::Motion, 0);
         let speed_m_s = random.between(3.0, 15.0);
         let stop_at_m = START_M + random.between(80.0, 300.0);
-        let state = CarState { time_s: 0.0, arc_m: START_M, speed_m_s, acceleration: [0.0; 2] };
+        let state = CarState { time_s: 0.0, arc_m: START_M, speed_m_s, acceleration_m_s2: [0.0; 2] };
         Self { random, state, cruise_m_s: speed_m_s, cruise_until_m: START_M, stop_at_m, standing: 0 }
     }
 
@@ -73,19 +73,19 @@ impl Driver {
             -speed_m_s / FRAME_S
         } else {
             let wanted = self.wanted_speed(road);
-            ((wanted - speed_m_s) / FRAME_S).clamp(-1.2 * BRAKING, DRIVING_ACCELERATION)
+            ((wanted - speed_m_s) / FRAME_S).clamp(-1.2 * BRAKING_M_S2, DRIVING_M_S2)
         };
         let speed = (speed_m_s + acceleration * FRAME_S).clamp(0.0, MAX_SPEED_M_S);
         let new_acceleration = [(speed - speed_m_s) / FRAME_S, speed * speed * road.at(arc_m).curvature];
         let [forward, left] = [0, 1].map(|axis| {
-            let old = self.state.acceleration[axis];
+            let old = self.state.acceleration_m_s2[axis];
             old + SPRING * (new_acceleration[axis] - old)
         });
         self.state = CarState {
             time_s: self.state.time_s + FRAME_S,
             arc_m: arc_m + 0.5 * (speed_m_s + speed) * FRAME_S,
             speed_m_s: speed,
-            acceleration: [forward, left],
+            acceleration_m_s2: [forward, left],
         };
         if self.standing == 0 && self.state.arc_m > self.stop_at_m - 1.0 && speed < 0.35 {
             self.standing = 8 + (self.random.uniform() * 15.0) as u32;
@@ -100,9 +100,9 @@ impl Driver {
             let ahead_m = 4.0 * f64::from(step);
             let curvature = road.at(arc_m + ahead_m).curvature.abs();
             // The bend may begin right after the place looked at before.
-            (LATERAL_ACCELERATION / curvature.max(1e-4) + 2.0 * BRAKING * (ahead_m - 4.0).max(0.0)).sqrt()
+            (MAX_LATERAL_M_S2 / curvature.max(1e-4) + 2.0 * BRAKING_M_S2 * (ahead_m - 4.0).max(0.0)).sqrt()
         });
-        let stop = (2.0 * BRAKING * (self.stop_at_m - arc_m).max(0.0)).sqrt().max(0.3);
+        let stop = (2.0 * BRAKING_M_S2 * (self.stop_at_m - arc_m).max(0.0)).sqrt().max(0.3);
         bends.fold(self.cruise_m_s.min(stop), f64::min)
     }
 }
@@ -118,7 +118,7 @@ impl Body {
     pub(super) fn new(seed: u64) -> Self {
         let mut random = Random::new(seed, Purpose::Motion, 1);
         let mut wave = |low, high| (random.between(0.0, std::f64::consts::TAU), random.between(low, high));
-        Self { waves: [0; 3].map(|_| [wave(0.2, 0.5), wave(0.8, 1.6)]) }
+        Self { waves: std::array::from_fn(|_| [wave(0.2, 0.5), wave(0.8, 1.6)]) }
     }
 
     /// Pose of the vehicle (x forward, y left, z up) in the world (east, north, up) at a moment, and
@@ -131,7 +131,7 @@ impl Body {
         };
         // A car at rest does not sway.
         let liveliness = state.speed_m_s / (state.speed_m_s + 3.0);
-        let [forward, left] = state.acceleration;
+        let [forward, left] = state.acceleration_m_s2;
         // Braking lowers the nose, which is a positive rotation about the axis to the left.
         let pitch = 0.012 * liveliness * sway(&self.waves[0]) - 0.004 * forward;
         let roll = 0.012 * liveliness * sway(&self.waves[1]) + 0.006 * left;
@@ -170,7 +170,7 @@ mod tests {
             let state = driver.state();
             road.cover(state.arc_m - 10.0, state.arc_m + 200.0);
             let lateral = state.speed_m_s.powi(2) * road.at(state.arc_m).curvature.abs();
-            assert!(lateral < 1.5 * LATERAL_ACCELERATION, "{lateral}");
+            assert!(lateral < 1.5 * MAX_LATERAL_M_S2, "{lateral}");
             assert!((0.0..=MAX_SPEED_M_S).contains(&state.speed_m_s));
             stopped += u32::from(state.speed_m_s == 0.0);
             fast += u32::from(state.speed_m_s > 12.0);

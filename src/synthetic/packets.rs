@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::motion::FRAME_S;
+use super::motion::{FRAME_S, LANE_M};
 use super::world::Moment;
 use crate::data::EARTH_RADIUS_M;
 
@@ -20,9 +20,10 @@ pub(super) fn packet(moment: &Moment, start: &Vector3<f64>) -> String {
     let latitude = libm::atan(libm::exp(north)) * 360.0 / std::f64::consts::PI - 90.0;
     let longitude = LONGITUDE_DEG + (position.x / scaled_radius).to_degrees();
     let [roll, pitch, yaw] = moment.attitude;
-    let speed = moment.state.speed_m_s;
+    // The car drives beside the centreline, on which its speed is counted.
+    let speed = moment.state.speed_m_s - moment.yaw_rate_rad_s * LANE_M;
     let (sine, cosine) = libm::sincos(yaw);
-    let [forward, left] = moment.state.acceleration;
+    let [forward, left] = moment.state.acceleration_m_s2;
     let numbers = [
         latitude,
         longitude,
@@ -43,13 +44,13 @@ pub(super) fn packet(moment: &Moment, start: &Vector3<f64>) -> String {
         forward,
         left,
         9.81,
-        // Rates of turn, in the same axes twice.
+        // Rates of turn in the same axes twice; the body's sway is left out.
         0.0,
         0.0,
-        moment.yaw_rate,
+        moment.yaw_rate_rad_s,
         0.0,
         0.0,
-        moment.yaw_rate,
+        moment.yaw_rate_rad_s,
         // Accuracy of position and velocity.
         0.01,
         0.01,

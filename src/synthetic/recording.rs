@@ -1,4 +1,4 @@
-//! Writes drives in the KITTI raw layout: resumable, never over other data, a few frames in memory.
+//! Writes drives in the KITTI raw layout: resumable, a few frames in memory.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -9,8 +9,8 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 use nalgebra::Vector3;
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 
+use super::folder::{Claim, Replace, create_folder};
 use super::packets::{packet, timestamps};
 use super::random::mix;
 use super::rig::Rig;
@@ -19,48 +19,24 @@ use super::settings::SyntheticSettings;
 use super::systems::{SYSTEMS, measure};
 use super::world::{Moment, World};
 use crate::depth::encode_depth_png;
-use crate::error::{Error, Place, Result};
-use crate::files::{put_in_place, read_text, write_atomically, write_renamed};
+use crate::error::{Error, Result};
+use crate::files::{put_in_place, write_renamed};
 use crate::geometry::{Pinhole, Pose};
 use crate::systems::{RelativePose, format_relative_pose, relative_pose_header};
 
-/// Date that all drives bear.
-const DATE: &str = "2026_01_01";
-/// Where the settings of a data set are kept, below its folder.
-const MANIFEST: &str = "synthetic.json";
-/// Version of what is rendered: other numbers come with other bytes.
-const VERSION: u32 = 1;
-
-/// What to do with a folder that holds something else.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Replace {
-    /// Leave it and say so.
-    Never,
-    /// Replace a synthetic data set, and nothing but that.
-    Synthetic,
-}
-
 /// How far a recording is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Recording {
+pub struct RecordingProgress {
     /// Frames that are there.
     pub done: usize,
     /// Frames in all.
     pub frames: usize,
 }
 
-/// What a folder holds, beside the data.
-#[derive(Debug, PartialEq, Serialize, Deserialize)]
-struct Manifest {
-    version: u32,
-    settings: SyntheticSettings,
-    complete: bool,
-}
-
 /// Renders a data set into `out`, or what is still missing of it; whether anything was.
 ///
 /// `progress` is told how many frames are there and may end the work by an error; what was written
-/// stays and is not rendered again.
+/// stays and is not rendered again. That holds for a process that is killed, not for a machine that loses power.
 ///
 /// # Errors
 /// A setting is out of range; the folder holds other data; it cannot be written; or `progress` says so.
@@ -68,100 +44,21 @@ pub fn record(
     out: &Path,
     settings: &SyntheticSettings,
     replace: Replace,
-    progress: &mut dyn FnMut(Recording) -> Result<()>,
+    progress: &mut dyn FnMut(RecordingProgress) -> Result<()>,
 ) -> Result<bool> {
     settings.validate("")?;
-    if !open_folder(out, settings, replace)? {
-        return Ok(false);
-    }
-    let date_folder = out.join(DATE);
-    create_folder(&date_folder)?;
-    let rig = Rig::install(&date_folder, settings.size)?;
+    let Some(claim) = Claim::stake(out, settings, replace)? else { return Ok(false) };
+    create_folder(&claim.date_folder())?;
+    let rig = Rig::install(&claim.date_folder(), settings.size)?;
     let beams = beam_directions(settings.lidar_steps);
     let frames = settings.drives * settings.frames;
     for drive in 1..=settings.drives {
         let before = (drive - 1) * settings.frames;
-        let studio = Studio { settings, rig: &rig, beams: &beams, folders: DriveFolders::new(out, drive) };
-        studio.record_drive(drive, &mut |done| progress(Recording { done: before + done, frames }))?;
+        let studio = Studio { settings, rig: &rig, beams: &beams, folders: DriveFolders::new(&claim, drive) };
+        studio.record_drive(drive, &mut |done| progress(RecordingProgress { done: before + done, frames }))?;
     }
-    write_manifest(out, settings, true)?;
+    claim.complete()?;
     Ok(true)
-}
-
-/// Names of the drives of a data set.
-pub(super) fn drive_name(drive: usize) -> String {
-    format!("{DATE}_drive_{drive:04}_sync")
-}
-
-/// Makes sure that a folder is empty or holds a part of this data set; whether something is missing.
-fn open_folder(out: &Path, settings: &SyntheticSettings, replace: Replace) -> Result<bool> {
-    create_folder(out)?;
-    let path = out.join(MANIFEST);
-    if !path.exists() {
-        let mut entries = std::fs::read_dir(out).map_err(Error::io("list", out))?;
-        if entries.next().is_some() {
-            return Err(Error::Data(format!(
-                "{}: holds files that are no synthetic data set (no {MANIFEST}); choose an empty or new folder",
-                out.display()
-            )));
-        }
-        write_manifest(out, settings, false)?;
-        return Ok(true);
-    }
-    let text = read_text(&path)?;
-    let found: std::result::Result<Manifest, _> = serde_json::from_str(&text);
-    match (found, replace) {
-        (Ok(found), _) if found.settings == *settings && found.version == VERSION => return Ok(!found.complete),
-        (_, Replace::Synthetic) => {}
-        (Ok(found), Replace::Never) => {
-            return Err(Error::Data(format!(
-                "{}: holds a synthetic data set with other settings ({}); choose another folder, or replace it with: relcov synth --force",
-                out.display(),
-                differences(&found, settings)
-            )));
-        }
-        (Err(error), Replace::Never) => {
-            let expected = "the settings of a synthetic data set; `relcov synth --force` replaces the data";
-            return Err(Error::malformed(path, Place::Line(error.line()), error.to_string(), expected));
-        }
-    }
-    for name in [DATE, "measurements"] {
-        let folder = out.join(name);
-        if folder.exists() {
-            std::fs::remove_dir_all(&folder).map_err(Error::io("remove", &folder))?;
-        }
-    }
-    write_manifest(out, settings, false)?;
-    Ok(true)
-}
-
-/// Which settings of a data set are not the wanted ones.
-fn differences(found: &Manifest, wanted: &SyntheticSettings) -> String {
-    let fields = |settings: &SyntheticSettings| match serde_json::to_value(settings) {
-        Ok(serde_json::Value::Object(fields)) => fields,
-        _ => unreachable!("settings are a table"),
-    };
-    let (old, new) = (fields(&found.settings), fields(wanted));
-    let differing = new.iter().filter(|(key, value)| old.get(*key) != Some(value));
-    let mut list: Vec<String> = differing
-        .map(|(key, value)| {
-            format!("{key} = {} there, {value} wanted", old.get(key).unwrap_or(&serde_json::Value::Null))
-        })
-        .collect();
-    if found.version != VERSION {
-        list.push(format!("version {} there, {VERSION} wanted", found.version));
-    }
-    list.join("; ")
-}
-
-fn write_manifest(out: &Path, settings: &SyntheticSettings, complete: bool) -> Result<()> {
-    let manifest = Manifest { version: VERSION, settings: settings.clone(), complete };
-    let json = serde_json::to_string_pretty(&manifest).expect("settings are JSON");
-    write_atomically(&out.join(MANIFEST), json.as_bytes())
-}
-
-fn create_folder(folder: &Path) -> Result<()> {
-    std::fs::create_dir_all(folder).map_err(Error::io("create the folder", folder))
 }
 
 /// Where the files of a drive go.
@@ -172,13 +69,8 @@ struct DriveFolders {
 }
 
 impl DriveFolders {
-    fn new(out: &Path, drive: usize) -> Self {
-        let name = drive_name(drive);
-        let short = name.trim_end_matches("_sync");
-        Self {
-            drive: out.join(DATE).join(&name),
-            measurements: SYSTEMS.map(|system| out.join("measurements").join(system).join(format!("{short}.csv"))),
-        }
+    fn new(claim: &Claim, drive: usize) -> Self {
+        Self { drive: claim.drive_folder(drive), measurements: SYSTEMS.map(|system| claim.measurements(system, drive)) }
     }
 
     fn file(&self, sensor: &str, frame: usize, extension: &str) -> PathBuf {
@@ -316,7 +208,7 @@ impl Studio<'_> {
             camera: self.rig.camera(),
             world_from_camera: *world_from_vehicle * *vehicle_from_camera,
         };
-        let views: Vec<View<'_>> = moment.exposed_from.iter().map(view).collect();
+        let views: Vec<View<'_>> = moment.exposed_world_from_vehicle.iter().map(view).collect();
         let exposure = Exposure {
             gain: moment.gain,
             noise: self.settings.image_noise,

@@ -91,7 +91,7 @@ pub(super) struct Road {
 impl Road {
     pub(super) fn new(seed: u64) -> Self {
         let first =
-            Segment { first_m: 0.0, length_m: 120.0, start: Vector2::zeros(), heading_rad: 0.0, curvature: 0.0 };
+            Segment { first_m: 0.0, length_m: 200.0, start: Vector2::zeros(), heading_rad: 0.0, curvature: 0.0 };
         Self { random: Random::new(seed, Purpose::Road, 0), segments: VecDeque::from([first]) }
     }
 
@@ -126,11 +126,9 @@ impl Road {
             let turn = if radius < 30.0 { random.between(0.5, 1.6) } else { random.between(0.1, 0.6) };
             let left = if random.chance(0.5) { 1.0 } else { -1.0 };
             let fits = |side: f64| (end.heading_rad + side * turn).abs() < MAX_HEADING_RAD;
-            // A turn that fits neither side is cut where the heading ends.
-            let side = if fits(left) || !fits(-left) { left } else { -left };
-            let turn = if fits(side) { turn } else { MAX_HEADING_RAD - end.heading_rad.abs() };
-            let side = if fits(side) { side } else { -end.heading_rad.signum() };
-            (turn.max(0.1) * radius, side / radius)
+            // No turn is wider than the headings between both limits, so one side fits.
+            let side = if fits(left) { left } else { -left };
+            (turn * radius, side / radius)
         };
         Segment { first_m: self.end_m(), length_m, start: end.position, heading_rad: end.heading_rad, curvature }
     }

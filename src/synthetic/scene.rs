@@ -210,7 +210,6 @@ impl Shape {
                 let (in_across, out_across) = slab(offset.dot(&across), direction.dot(&across), -half[1], half[1]);
                 let (in_up, out_up) = slab(ray.origin.z, ray.direction.z, *low, *high);
                 let enter = in_along.max(in_across).max(in_up);
-                // Comparisons with NaN (a ray within a face) are false: no hit.
                 if !(enter > 0.0 && enter < end && enter <= out_along.min(out_across).min(out_up)) {
                     return None;
                 }

@@ -61,8 +61,8 @@ impl SyntheticSettings {
         let (drives, frames) = (self.drives, self.frames);
         require((1..=9999).contains(&drives), "drives", format!("{drives} is not between 1 and 9999"))?;
         require((2..=1_000_000).contains(&frames), "frames", format!("{frames} is not between 2 and 1000000"))?;
-        let fits = (16..=4096).contains(&width) && (16..=4096).contains(&height);
-        require(fits, "size", format!("{width}x{height} is not between 16x16 and 4096x4096"))?;
+        let fits = width.min(height) >= 16 && width.max(height) <= 4096 && width * height <= 4_000_000;
+        require(fits, "size", format!("{width}x{height} is not between 16x16 and four million pixels"))?;
         let steps = self.lidar_steps;
         require(steps <= 10_000, "lidar_steps", format!("{steps} is more than 10000"))?;
         for (key, value, limit) in [
@@ -73,7 +73,7 @@ impl SyntheticSettings {
             require((0.0..=limit).contains(&value), key, format!("{value} is not between 0 and {limit}"))?;
         }
         let noise = self.vo_pixel_noise;
-        require(noise > 0.0 && noise <= 100.0, "vo_pixel_noise", format!("{noise} is not in (0, 100]"))?;
+        require((1e-4..=100.0).contains(&noise), "vo_pixel_noise", format!("{noise} is not between 0.0001 and 100"))?;
         let landmarks = self.vo_landmarks;
         require(landmarks <= 10_000, "vo_landmarks", format!("{landmarks} is more than 10000"))
     }

@@ -5,20 +5,22 @@ use nalgebra::{Vector2, Vector3};
 use super::motion::{CarState, LANE_M};
 use super::random::{Purpose, Random, mix, smooth, uniform_of};
 use super::road::{Road, RoadPoint, Segment};
-use super::scene::{Scene, Shape, Thing};
+use super::scene::{RANGE_M, Scene, Shape, Thing};
 use super::surface::{ROAD_HALF_M, Surface, richness_at};
 
 /// Length of a block, m.
 const BLOCK_M: f64 = 16.0;
-/// The street is there from so far behind the car to so far ahead, m.
-const BEHIND_M: f64 = 70.0;
-const AHEAD_M: f64 = 190.0;
+/// The street is there as far as anything can be seen, but no farther than this along the road, m.
+const MOST_BEHIND_M: f64 = 200.0;
+const MOST_AHEAD_M: f64 = 400.0;
+/// Blocks reach farther than their middle, m.
+const SEEN_M: f64 = RANGE_M + BLOCK_M;
 /// How far along the road something may reach that stands beside it, m.
 const REACH_M: f64 = 80.0;
 /// Nothing may stand nearer to the centreline, m.
 const CLEARANCE_M: f64 = ROAD_HALF_M + 2.4;
 
-/// Length and speed of the column of oncoming traffic.
+/// Oncoming traffic: one place for a car in so many metres, and its speed.
 const ONCOMING_GAP_M: f64 = 45.0;
 const ONCOMING_M_S: f64 = 9.0;
 
@@ -29,8 +31,9 @@ const MOVING: u64 = 1 << 63;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MovingCar {
     pub key: u64,
+    /// World, m.
     pub centre: Vector2<f64>,
-    /// Unit vector along the car.
+    /// Unit vector along the car, world axes.
     pub along: Vector2<f64>,
 }
 
@@ -53,12 +56,19 @@ pub(super) struct Street {
 impl Street {
     /// Makes the road known as far as [`Self::scene`] needs it.
     pub(super) fn cover(road: &mut Road, state: &CarState) {
-        road.cover(state.arc_m - BEHIND_M - REACH_M - BLOCK_M, state.arc_m + AHEAD_M + REACH_M + BLOCK_M);
+        road.cover(state.arc_m - MOST_BEHIND_M - REACH_M - BLOCK_M, state.arc_m + MOST_AHEAD_M + REACH_M + BLOCK_M);
     }
 
     /// Everything around the car, and which of it moves.
     pub(super) fn scene(&self, road: &Road, state: &CarState) -> (Scene, Vec<MovingCar>) {
-        let (first_m, end_m) = (state.arc_m - BEHIND_M, state.arc_m + AHEAD_M);
+        let here = road.at(state.arc_m).position;
+        let in_sight = |arc_m: f64| (road.at(arc_m).position - here).norm() < SEEN_M;
+        let reach = |direction: f64, most_m: f64| {
+            let steps = (0..=(most_m / BLOCK_M) as u32).map(|step| f64::from(step) * BLOCK_M);
+            steps.take_while(|way_m| in_sight(state.arc_m + direction * way_m)).last().unwrap_or(0.0)
+        };
+        let first_m = (state.arc_m - reach(-1.0, MOST_BEHIND_M)).max(0.0);
+        let end_m = state.arc_m + reach(1.0, MOST_AHEAD_M);
         let mut things = Vec::with_capacity(256);
         for block in (first_m / BLOCK_M).floor() as i64..=(end_m / BLOCK_M).floor() as i64 {
             if block >= 0 {
@@ -70,7 +80,7 @@ impl Street {
             push_car(&mut things, car.key, car.centre, car.along);
         }
         let segments = road.between(first_m, end_m).copied().collect();
-        (Scene::new(road.at(state.arc_m).position, self.seed, things, segments), moving)
+        (Scene::new(here, self.seed, things, segments), moving)
     }
 
     /// Houses, hedges, trees, poles and parked cars of one block, both sides.
@@ -153,11 +163,10 @@ impl Street {
                 push(key, arc_m, -LANE_M, -1.0);
             }
         }
-        // The gap to the car ahead breathes; most of the time it is out of sight.
-        let gap_m = 55.0 + 90.0 * smooth(self.seed ^ 0x1ead, state.time_s / 9.0);
-        if gap_m < AHEAD_M - 20.0 {
-            push(mix(self.seed ^ 0x1ead) & !MOVING, state.arc_m + gap_m.max(9.0), LANE_M, 1.0);
-        }
+        // The gap to the car ahead changes with the way driven, so slowly that it never drives backwards.
+        let wave = 0.5 + 0.5 * smooth(self.seed ^ 0x1ead, state.arc_m / 500.0);
+        let gap_m = 10.0 + 130.0 * wave * wave;
+        push(mix(self.seed ^ 0x1ead) & !MOVING, state.arc_m + gap_m, LANE_M, 1.0);
         cars
     }
 }
@@ -233,9 +242,9 @@ mod tests {
         for step in 0..30 {
             let state = CarState {
                 time_s: 0.0,
-                arc_m: 100.0 + 60.0 * f64::from(step),
+                arc_m: 250.0 + 60.0 * f64::from(step),
                 speed_m_s: 10.0,
-                acceleration: [0.0; 2],
+                acceleration_m_s2: [0.0; 2],
             };
             Street::cover(&mut road, &state);
             let (scene, moving) = street.scene(&road, &state);

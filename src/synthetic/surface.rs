@@ -137,7 +137,7 @@ fn thing_albedo(thing: &Thing, spot: &Spot, normal: &Vector3<f64>) -> Colour {
     match thing.surface {
         Surface::Facade { colour, richness, window_m } => {
             let (richness, period) = (f64::from(richness), f64::from(window_m));
-            let plaster = 1.0 + (0.03 + 0.22 * richness) * noise(spot, 0.06, thing.key);
+            let plaster = 1.0 + (0.05 + 0.22 * richness) * noise(spot, 0.06, thing.key);
             let wall = tint(colour) * plaster.clamp(0.3, 1.7);
             if normal.z > 0.5 {
                 return wall * 0.6;
@@ -150,7 +150,7 @@ fn thing_albedo(thing: &Thing, spot: &Spot, normal: &Vector3<f64>) -> Colour {
             // Each pane reflects something else.
             let field = |position: f64, period: f64| (position / period).floor() as i64 as u64;
             let own = uniform_of(thing.key ^ mix(field(u, period)) ^ field(v - 0.6, 3.0));
-            let sharp = 1.0 / (1.0 + (width_u / period).powi(2));
+            let sharp = 1.0 / (1.0 + width_u * width_u / (period * period));
             let glass = Colour::new(0.10, 0.13, 0.17) * (1.0 + 1.6 * sharp * own);
             let show = 0.12 + 0.88 * richness;
             let painted = wall + (Colour::repeat(0.75) - wall) * (show * (frame - pane).max(0.0));
@@ -251,7 +251,7 @@ fn shade_at_feet(scene: &Scene, place: &Vector2<f64>) -> f64 {
 /// How rich in texture the street is along its length, 0 to 1.
 pub(super) fn richness_at(seed: u64, arc_m: f64) -> f64 {
     let wave = smooth(seed ^ 0x7165, arc_m / 55.0);
-    (0.5 + 0.75 * wave).clamp(0.02, 1.0)
+    (0.5 + 0.75 * wave).clamp(0.1, 1.0)
 }
 
 fn sky(direction: &Vector3<f64>, light: &Light) -> Colour {

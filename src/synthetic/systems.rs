@@ -5,15 +5,14 @@
 
 use nalgebra::{Matrix6, RowVector6, Vector3, Vector6};
 
+use super::odometry::stereo_odometry_covariance;
 use super::random::{Purpose, Random};
-use super::rig::{Rig, baseline_m};
+use super::rig::Rig;
 use super::scene::Ray;
-use super::sensors::View;
 use super::settings::SyntheticSettings;
 use super::street::is_moving;
-use super::surface::shade;
 use super::world::Moment;
-use crate::geometry::{Covariance6, Pinhole, Pose, hat};
+use crate::geometry::{Covariance6, Pose};
 use crate::systems::RelativePose;
 
 /// Names of the simulated systems; `measurements/NAME/DRIVE.csv` holds their measurements.
@@ -21,17 +20,6 @@ pub const SYSTEMS: [&str; 4] = ["vo", "wheel", "icp", "coarse_gnss"];
 
 /// What a smooth motion would be taken for without any landmark or point, m and rad.
 const MOTION_PRIOR: [f64; 6] = [0.25, 0.25, 0.25, 0.02, 0.02, 0.02];
-
-/// Candidates for landmarks: the image is divided into so many columns and rows.
-const BUCKETS: [usize; 2] = [24, 8];
-/// Contrast (grey levels over three pixels) of the faintest landmark.
-const LEAST_CONTRAST: f64 = 4.0;
-/// Contrast at which a landmark is found with √2 of the noise it has at the strongest.
-const HALF_CONTRAST: f64 = 30.0;
-/// Nearest and farthest landmark, m.
-const LANDMARK_DEPTH_M: [f64; 2] = [1.5, 80.0];
-/// A landmark that moves farther than this by itself is found out, standard deviations of a pixel.
-const OUTLIER_GATE: f64 = 4.0;
 
 /// Directions of the points that ICP aligns, of a turn and from top to bottom, and their noise.
 const ICP_AZIMUTHS: usize = 72;
@@ -51,15 +39,13 @@ pub(super) fn measure(
     let motion = source.world_from_vehicle.inverse() * target.world_from_vehicle;
     let camera_motion = motion.conjugated_by(&rig.calibration.camera2_from_vehicle);
     let measured = [
-        (camera_motion, stereo_odometry_covariance(settings, rig, seed, source, target)),
-        (motion, wheel_covariance(&motion)),
-        (motion, icp_covariance(rig, source, target)),
-        (motion, coarse_gnss_covariance()),
+        (0, camera_motion, stereo_odometry_covariance(settings, rig, seed, source, target)),
+        (1, motion, wheel_covariance(&motion)),
+        (2, motion, icp_covariance(rig, source, target)),
+        (3, motion, coarse_gnss_covariance()),
     ];
-    let mut system = 0;
-    measured.map(|(truth, covariance)| {
+    measured.map(|(system, truth, covariance)| {
         let mut random = Random::new(seed, Purpose::Errors(system), source.frame as u64);
-        system += 1;
         let error = draw_error(&covariance, &mut random);
         RelativePose {
             source: source.frame,
@@ -74,160 +60,6 @@ pub(super) fn measure(
 pub(super) fn draw_error(covariance: &Covariance6, random: &mut Random) -> Vector6<f64> {
     let factor = covariance.matrix().cholesky().expect("a simulated covariance is positive definite").unpack();
     factor * Vector6::from_fn(|_, _| random.normal())
-}
-
-/// Sparse stereo visual odometry, axes of the left colour camera: landmarks by texture, seen by both
-/// cameras in both frames; `Σ = (Σ JᵀJ/σ² + Λ)⁻¹` with the Jacobian J of the reprojection into the
-/// source frame, pixel noise `σ² = σ₀² (1 + (30/contrast)²)` (the fainter a corner, the less surely it
-/// is found: Förstner 1987) and a weak motion prior Λ. Landmarks on a moving car that pass the outlier gate shift
-/// the estimate by `w`; how much of it remains is drawn anew for each car: Σ grows by `w wᵀ`.
-fn stereo_odometry_covariance(
-    settings: &SyntheticSettings,
-    rig: &Rig,
-    seed: u64,
-    source: &Moment,
-    target: &Moment,
-) -> Covariance6 {
-    let vehicle_from_camera = rig.vehicle_from_camera2();
-    let view = View {
-        scene: &target.scene,
-        light: &target.light,
-        camera: rig.camera(),
-        world_from_camera: target.world_from_vehicle * vehicle_from_camera,
-    };
-    let stereo = Stereo { rig, source, target, vehicle_from_camera };
-    let mut random = Random::new(seed, Purpose::Landmarks, source.frame as u64);
-    let mut normal_matrix = prior_information();
-    let mut shifts: Vec<(u64, Vector6<f64>)> = Vec::new();
-    let mut landmarks = 0;
-    // In random order, so that a limit on their number leaves no part of the image out.
-    let mut buckets: Vec<(u64, usize)> = (0..BUCKETS[0] * BUCKETS[1]).map(|bucket| (random.bits(), bucket)).collect();
-    buckets.sort_unstable();
-    for (_, bucket) in buckets {
-        let (column, row) = (bucket % BUCKETS[0], bucket / BUCKETS[0]);
-        let u = (column as f64 + random.uniform()) * view.camera.width as f64 / BUCKETS[0] as f64;
-        let v = (row as f64 + random.uniform()) * view.camera.height as f64 / BUCKETS[1] as f64;
-        let contrast = contrast(&view, target.gain, u, v);
-        if landmarks == settings.vo_landmarks || contrast < LEAST_CONTRAST {
-            continue;
-        }
-        let noise = settings.vo_pixel_noise * (1.0 + (HALF_CONTRAST / contrast).powi(2)).sqrt();
-        let Some(landmark) = stereo.landmark(&view, u, v) else { continue };
-        if landmark.shift_px.norm() > OUTLIER_GATE * noise {
-            continue;
-        }
-        let information = 1.0 / (noise * noise);
-        landmarks += 1;
-        for (row, shift) in landmark.jacobian.iter().zip(landmark.shift_px.iter()) {
-            normal_matrix += row.transpose() * row * information;
-            if let Some(key) = landmark.moving {
-                let entry = match shifts.iter().position(|(other, _)| *other == key) {
-                    Some(entry) => entry,
-                    None => {
-                        shifts.push((key, Vector6::zeros()));
-                        shifts.len() - 1
-                    }
-                };
-                shifts[entry].1 += row.transpose() * (shift * information);
-            }
-        }
-    }
-    let mut covariance = inverse(&normal_matrix);
-    let estimate = covariance;
-    for (_, gradient) in shifts {
-        let shift = estimate * gradient;
-        covariance += shift * shift.transpose();
-    }
-    Covariance6::from_matrix(covariance).expect("a sum of squares")
-}
-
-/// Contrast around a pixel, grey levels.
-fn contrast(view: &View<'_>, gain: f64, u: f64, v: f64) -> f64 {
-    let cone = view.cone(1.0);
-    let level = |u: f64, v: f64| {
-        let ray = view.ray(u, v);
-        let colour = shade(view.scene, view.light, &ray, &cone, view.scene.cast(&ray).as_ref());
-        255.0 * (gain * (colour.x + colour.y + colour.z) / 3.0).clamp(0.0, 1.0).sqrt()
-    };
-    let across = level(u + 1.5, v) - level(u - 1.5, v);
-    let down = level(u, v + 1.5) - level(u, v - 1.5);
-    // A corner shows in both directions, an edge in one.
-    across.abs().min(down.abs()) + 0.3 * across.abs().max(down.abs())
-}
-
-struct Stereo<'a> {
-    rig: &'a Rig,
-    source: &'a Moment,
-    target: &'a Moment,
-    vehicle_from_camera: Pose,
-}
-
-struct Landmark {
-    /// Of `u` and `v` in the left and `u` in the right image by the error e.
-    jacobian: [RowVector6<f64>; 3],
-    /// How far its own motion moves it in those, px.
-    shift_px: Vector3<f64>,
-    /// Key of the moving car it sits on.
-    moving: Option<u64>,
-}
-
-impl Stereo<'_> {
-    /// The landmark behind a pixel of the target's left image, if both cameras see it in both frames.
-    fn landmark(&self, view: &View<'_>, u: f64, v: f64) -> Option<Landmark> {
-        let ray = view.ray(u, v);
-        let hit = self.target.scene.cast(&ray)?;
-        if !(LANDMARK_DEPTH_M[0]..LANDMARK_DEPTH_M[1]).contains(&hit.distance) {
-            return None;
-        }
-        let in_target = ray.at(hit.distance);
-        let key = hit.thing.map(|thing| self.target.scene.things[thing].key).filter(|&key| is_moving(key));
-        let in_source = match key {
-            None => in_target,
-            Some(key) => {
-                let car = |moment: &Moment| moment.moving.iter().find(|car| car.key == key).copied();
-                car(self.target)?.carry(&in_target, &car(self.source)?)
-            }
-        };
-        self.is_seen(self.target, &in_target)?;
-        let actual = self.is_seen(self.source, &in_source)?;
-        // Where it would be seen if it stood still: what the estimator takes for granted.
-        let camera_from_world = (self.source.world_from_vehicle * self.vehicle_from_camera).inverse();
-        let point = camera_from_world.transform_point(&in_target);
-        let predicted = stereo_pixels(&view.camera, &point)?;
-        let Pinhole { fx, fy, .. } = view.camera;
-        let z = point.z;
-        let by_point = [
-            Vector3::new(fx / z, 0.0, -fx * point.x / (z * z)),
-            Vector3::new(0.0, fy / z, -fy * point.y / (z * z)),
-            Vector3::new(fx / z, 0.0, -fx * (point.x - baseline_m()) / (z * z)),
-        ];
-        // exp(e) X ≈ X + ρ + φ × X
-        let by_rotation = -hat(&point);
-        let jacobian = by_point.map(|row| {
-            let rotation = by_rotation.transpose() * row;
-            RowVector6::new(row.x, row.y, row.z, rotation.x, rotation.y, rotation.z)
-        });
-        Some(Landmark { jacobian, shift_px: actual - predicted, moving: key })
-    }
-
-    /// Pixels of a world point in both cameras of a frame, if neither view is blocked.
-    fn is_seen(&self, moment: &Moment, point: &Vector3<f64>) -> Option<Vector3<f64>> {
-        let world_from_camera = moment.world_from_vehicle * self.vehicle_from_camera;
-        let pixels = stereo_pixels(&self.rig.camera(), &world_from_camera.inverse().transform_point(point))?;
-        let right = (world_from_camera * self.rig.camera2_from_camera3()).translation;
-        let visible = moment.scene.sees(&world_from_camera.translation, point) && moment.scene.sees(&right, point);
-        visible.then_some(pixels)
-    }
-}
-
-/// `u`, `v` in the left and `u` in the right image, if inside both.
-fn stereo_pixels(camera: &Pinhole, point: &Vector3<f64>) -> Option<Vector3<f64>> {
-    let left = camera.project(point)?;
-    let right = camera.project(&Vector3::new(point.x - baseline_m(), point.y, point.z))?;
-    let inside = |u: f64, v: f64| {
-        (0.0..=(camera.width - 1) as f64).contains(&u) && (0.0..=(camera.height - 1) as f64).contains(&v)
-    };
-    (inside(left.x, left.y) && inside(right.x, right.y)).then(|| Vector3::new(left.x, left.y, right.x))
 }
 
 /// Wheel odometry, vehicle axes: scale and slip grow with the way, heading errors with the turn.
@@ -260,12 +92,16 @@ fn icp_covariance(rig: &Rig, source: &Moment, target: &Moment) -> Covariance6 {
             continue;
         }
         let point = vehicle_from_world.transform_point(&ray.at(hit.distance));
-        let normal = vehicle_from_world.rotation * hit.normal;
-        let lever = point.cross(&normal);
-        let row = RowVector6::new(normal.x, normal.y, normal.z, lever.x, lever.y, lever.z);
+        let row = distance_to_plane(&point, &(vehicle_from_world.rotation * hit.normal));
         normal_matrix += row.transpose() * row / (ICP_NOISE_M * ICP_NOISE_M);
     }
     Covariance6::from_matrix(inverse(&normal_matrix)).expect("the inverse of a sum of squares")
+}
+
+/// How the distance of `exp(e) p` to its plane changes with e at zero.
+fn distance_to_plane(point: &Vector3<f64>, normal: &Vector3<f64>) -> RowVector6<f64> {
+    let lever = point.cross(normal);
+    RowVector6::new(normal.x, normal.y, normal.z, lever.x, lever.y, lever.z)
 }
 
 /// A cheap receiver and compass, vehicle axes: white noise that knows nothing of the scene.
@@ -273,12 +109,12 @@ fn coarse_gnss_covariance() -> Covariance6 {
     Covariance6::from_std_devs(&Vector6::new(0.08, 0.08, 0.12, 0.004, 0.004, 0.006))
 }
 
-fn prior_information() -> Matrix6<f64> {
+pub(super) fn prior_information() -> Matrix6<f64> {
     Matrix6::from_diagonal(&Vector6::from(MOTION_PRIOR).map(|std_dev| 1.0 / (std_dev * std_dev)))
 }
 
 /// The inverse of a symmetric positive definite matrix, symmetric to the last bit.
-fn inverse(matrix: &Matrix6<f64>) -> Matrix6<f64> {
+pub(super) fn inverse(matrix: &Matrix6<f64>) -> Matrix6<f64> {
     let inverse = matrix.cholesky().expect("a prior keeps it positive definite").inverse();
     0.5 * (inverse + inverse.transpose())
 }
@@ -292,6 +128,43 @@ mod tests {
         // 99.9 %, both sides.
         let limit = 3.291 * (2.0 * degrees).sqrt();
         assert!((sum - degrees).abs() < limit, "{sum} against {degrees} ± {limit}");
+    }
+
+    #[test]
+    fn the_icp_row_is_the_slope_of_the_distance_to_the_plane() {
+        let (point, normal) = (Vector3::new(9.0, 4.0, -0.5), Vector3::new(0.6, 0.0, 0.8));
+        let row = distance_to_plane(&point, &normal);
+        for axis in 0..6 {
+            let step = 1e-6;
+            let at = |size: f64| {
+                let mut error = Vector6::zeros();
+                error[axis] = size;
+                normal.dot(&(Pose::exp(&error).transform_point(&point) - point))
+            };
+            assert!((row[axis] - (at(step) - at(-step)) / (2.0 * step)).abs() < 1e-6, "axis {axis}");
+        }
+    }
+
+    #[test]
+    fn wheels_err_more_the_faster_and_the_more_the_car_turns() {
+        let std_devs = |way_m: f64, turn_rad: f64| {
+            wheel_covariance(&Pose::exp(&Vector6::new(way_m, 0.0, 0.0, 0.0, 0.0, turn_rad))).std_devs()
+        };
+        let (still, fast, turning) = (std_devs(0.0, 0.0), std_devs(1.5, 0.0), std_devs(1.5, 0.08));
+        assert!(fast[0] > 3.0 * still[0] && turning[5] > 2.0 * fast[5] && turning[1] > 2.0 * fast[1]);
+        assert_eq!(turning, std_devs(1.5, -0.08));
+    }
+
+    #[test]
+    fn icp_is_weakest_along_the_street() {
+        let settings = SyntheticSettings { size: [192, 64], ..SyntheticSettings::default() };
+        let folder = tempfile::tempdir().unwrap();
+        let rig = Rig::install(folder.path(), settings.size).unwrap();
+        let mut world = super::super::world::World::new(&settings, 1);
+        let mut moments: Vec<Moment> = (0..30).map(|_| world.next_moment()).collect();
+        let (target, source) = (moments.pop().unwrap(), moments.pop().unwrap());
+        let std_devs = icp_covariance(&rig, &source, &target).std_devs();
+        assert!(std_devs[0] > 1.3 * std_devs[1] && std_devs[0] > 1.3 * std_devs[2], "{std_devs}");
     }
 
     #[test]

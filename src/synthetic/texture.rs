@@ -42,7 +42,7 @@ impl Noise {
         }
         let count = cells.len() as f64;
         let mean = cells.iter().sum::<f64>() / count;
-        let deviation = (cells.iter().map(|cell| (cell - mean).powi(2)).sum::<f64>() / count).sqrt();
+        let deviation = (cells.iter().map(|cell| (cell - mean) * (cell - mean)).sum::<f64>() / count).sqrt();
         let finest: Vec<f32> = cells.iter().map(|cell| ((cell - mean) / deviation) as f32).collect();
         let mut levels: Vec<Vec<f32>> = Vec::with_capacity(LEVELS * LEVELS);
         for row_level in 0..LEVELS {

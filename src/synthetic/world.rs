@@ -23,9 +23,9 @@ pub(super) struct Moment {
     /// Roll, pitch, yaw, rad.
     pub attitude: [f64; 3],
     /// rad/s, positive to the left.
-    pub yaw_rate: f64,
-    /// Poses of the vehicle while the shutter is open, the first in its middle.
-    pub exposed_from: Vec<Pose>,
+    pub yaw_rate_rad_s: f64,
+    /// `world_from_vehicle` while the shutter is open, the first in its middle.
+    pub exposed_world_from_vehicle: Vec<Pose>,
     pub scene: Scene,
     pub moving: Vec<MovingCar>,
     pub light: Light,
@@ -76,13 +76,13 @@ impl World {
         let (world_from_vehicle, attitude) = self.body.pose(&state, &self.road);
         let blurred = self.settings.shutter_s > 0.0;
         let moments = if blurred { &BLUR_MOMENTS[..] } else { &BLUR_MOMENTS[..1] };
-        let exposed_from = moments.iter().map(|&part| {
+        let exposed_world_from_vehicle = moments.iter().map(|&part| {
             let later_s = part * self.settings.shutter_s;
             let later =
                 CarState { time_s: state.time_s + later_s, arc_m: state.arc_m + later_s * state.speed_m_s, ..state };
             self.body.pose(&later, &self.road).0
         });
-        let exposed_from = exposed_from.collect();
+        let exposed_world_from_vehicle = exposed_world_from_vehicle.collect();
         let (scene, moving) = self.street.scene(&self.road, &state);
         let sun = (0.6 + 0.8 * smooth(self.seed ^ 0x50, state.time_s / 8.0)).clamp(0.0, 1.0);
         let mut random = Random::new(self.seed, Purpose::Exposure, 1 + self.next_frame as u64);
@@ -93,8 +93,8 @@ impl World {
             state,
             world_from_vehicle,
             attitude,
-            yaw_rate: state.speed_m_s * self.road.at(state.arc_m).curvature,
-            exposed_from,
+            yaw_rate_rad_s: state.speed_m_s * self.road.at(state.arc_m).curvature,
+            exposed_world_from_vehicle,
             scene,
             moving,
             light: Light { towards_sun: self.towards_sun, sun },

@@ -87,7 +87,7 @@ pub fn format_relative_pose(pose: &RelativePose) -> String {
     let mut row = format!("{},{}", pose.source, pose.target);
     numbers.for_each(|value| row += &format!(",{value:.12}"));
     if let Some(covariance) = &pose.covariance {
-        covariance.matrix().iter().for_each(|value| row += &format!(",{value:.9e}"));
+        covariance.matrix().transpose().iter().for_each(|value| row += &format!(",{value:.9e}"));
     }
     row + "\n"
 }

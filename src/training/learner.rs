@@ -19,6 +19,7 @@ use super::divergence::DivergenceRule;
 use super::history::{EpochRow, History};
 use super::manifest::Manifest;
 use super::run_folder::RunFolder;
+use super::schedule::rate_factor;
 use super::setup::{constant_loss, describe, watched_split, watched_system};
 use crate::config::Config;
 use crate::data::{BadFrame, BatchLoader, Choice, Dataset, LoadedBatch, PairReader, SplitName};
@@ -299,7 +300,7 @@ impl Learner {
             )));
         }
         let share = batch as f64 / (self.config.training.epochs * self.batches_per_epoch()) as f64;
-        let learning_rate = self.config.training.learning_rate * self.config.training.schedule.factor(share);
+        let learning_rate = self.config.training.learning_rate * rate_factor(self.config.training.schedule, share);
         let model = self.model.take().expect("put back by the step before");
         self.model = Some(self.optimiser.step(learning_rate, model, gradients.grads()));
         for (pair, loss) in learned.into_iter().zip(losses) {

@@ -9,6 +9,7 @@ mod history;
 mod learner;
 mod manifest;
 mod run_folder;
+mod schedule;
 mod setup;
 
 pub use divergence::DivergenceRule;
