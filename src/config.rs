@@ -1,6 +1,7 @@
 //! The one TOML file that describes an experiment, with its defaults.
 //!
-//! Order of precedence: defaults < file < `RELCOV_DATA_ROOT` < `--set key=value`. Relative paths
+//! Order of precedence: defaults < file < `RELCOV_DATA_ROOT` (for recorded data, not for
+//! `data.synthetic`) < `--set key=value`. Relative paths
 //! resolve against the file that holds them (those of `--set` and the environment against the
 //! current folder). Unknown keys are errors.
 

@@ -86,6 +86,10 @@ fn prepare(arguments: &TrainArguments, terminal: &Terminal) -> anyhow::Result<Le
             "ndarray trains this network some 20 times slower than flex; --device flex is the fast CPU backend"
         );
     }
+    if resumed.is_none() && !arguments.force {
+        // Found now rather than after data are rendered and read.
+        RunFolder::require_free(&config.run_folder())?;
+    }
     synth::make_if_asked(&config, terminal)?;
     let dataset = Arc::new(Dataset::load(&config, PairScope::Images)?);
     for split in [&dataset.train, &dataset.validation, &dataset.test] {

@@ -116,8 +116,17 @@ mod tests {
             split: "test",
             device: "flex".to_owned(),
             unreadable_frames: Vec::new(),
-            separation: None,
-            perturbation_response: None,
+            separation: Some(crate::evaluation::Separation {
+                systems: ["vo", "gnss"].map(str::to_owned),
+                median_sigma_ratio: [2.0, 3.0, 4.0, 5.0, 6.0, 7.5],
+                auroc: 0.9876,
+            }),
+            perturbation_response: Some(crate::evaluation::PerturbationResponse {
+                pairs: 512,
+                spearman: Some(0.912),
+                spearman_by_component: [Some(0.5), None, Some(0.25), Some(0.5), Some(0.5), Some(0.5)],
+                median_sigma_by_third: [0.3, 0.6, 1.2],
+            }),
             systems: vec![("vo".to_owned(), system(vec![("relcov", metrics(1e-4)), ("zero", metrics(0.0))]))],
         };
         insta::assert_snapshot!(mde_table(&evaluation));

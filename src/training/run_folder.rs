@@ -50,22 +50,35 @@ pub struct RunFolder {
 }
 
 impl RunFolder {
+    /// Makes sure that a folder holds no run yet.
+    ///
+    /// # Errors
+    /// It does, or it cannot be read.
+    pub fn require_free(path: &Path) -> Result<()> {
+        match (Self { path: path.to_owned() }).is_taken()? {
+            false => Ok(()),
+            true => Err(Error::run(
+                path,
+                "already holds a run; continue it with --resume, choose another --set name=…, or replace it with --force",
+            )),
+        }
+    }
+
+    fn is_taken(&self) -> Result<bool> {
+        Ok(self.path.is_dir()
+            && (self.path.join(MANIFEST).exists() || self.path.join(MODEL).exists() || !self.states()?.is_empty()))
+    }
+
     /// Starts a run in a folder that holds none, or replaces the one it holds.
     ///
     /// # Errors
     /// The folder holds a run and `replace` is false, or it cannot be written.
     pub fn create(path: &Path, replace: bool) -> Result<Self> {
         let run = Self { path: path.to_owned() };
-        if run.path.is_dir()
-            && (run.path.join(MANIFEST).exists() || run.path.join(MODEL).exists() || !run.states()?.is_empty())
-        {
-            if !replace {
-                return Err(Error::run(
-                    path,
-                    "already holds a run; continue it with --resume, choose another --set name=…, or replace it with --force",
-                ));
-            }
-            run.clear()?;
+        match replace {
+            true if run.is_taken()? => run.clear()?,
+            true => {}
+            false => Self::require_free(path)?,
         }
         std::fs::create_dir_all(path).map_err(Error::io("create the folder", path))?;
         Ok(run)

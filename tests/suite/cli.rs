@@ -141,6 +141,24 @@ fn losses(run: &Path) -> Vec<Vec<f64>> {
 }
 
 #[test]
+fn training_learns_the_pairs_it_sees() {
+    // In a process of its own: other tests would draw from the random numbers of its weights.
+    let made = Made::new();
+    made.train(&[
+        "model.dropout=0.0",
+        "training.learning_rate=3e-4",
+        "training.batches_per_epoch=40",
+        "training.epochs=4",
+    ])
+    .assert()
+    .success();
+    // Sixteen pairs of each system are learned by heart, beyond the constant that training starts at.
+    let losses = losses(&made.path("runs/tiny"));
+    let (first, last) = (losses[0][0], losses[3][0]);
+    assert!(last < first - 2.0, "vo: {first} to {last}");
+}
+
+#[test]
 #[cfg(unix)]
 fn an_interrupted_run_resumes_to_the_same_result() {
     let made = Made::new();

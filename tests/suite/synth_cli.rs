@@ -31,11 +31,13 @@ fn synth_renders_continues_and_refuses_to_overwrite() {
         command.args(TINY).args(more);
         command
     };
-    synth(&[]).assert().success().stdout(contains("street")).stderr(contains("1 drives of 3 frames, 32x16"));
-    // A file that is missing is made again only after the data set counts as incomplete; a whole one is left alone.
-    synth(&[]).assert().success().stderr(contains("1 drives of 3 frames").not());
+    synth(&[]).assert().success().stdout(contains("street")).stderr(contains("3 frames (1 x 3), 32x16"));
+    synth(&[]).assert().success().stderr(contains("made").not());
     synth(&["--seed", "3"]).assert().code(1).stderr(contains("seed = 0 there, 3 wanted").and(contains("--force")));
-    synth(&["--seed", "3", "--force"]).assert().success();
+    let first_image = out.join("2026_01_01/2026_01_01_drive_0001_sync/image_02/data/0000000000.png");
+    let before = std::fs::read(&first_image).unwrap();
+    synth(&["--seed", "3", "--force"]).assert().success().stderr(contains("made"));
+    assert_ne!(before, std::fs::read(&first_image).unwrap());
     synth(&["--image-noise", "-1"]).assert().code(2);
     synth(&["--image-noise=-1", "--force"])
         .assert()
@@ -116,7 +118,7 @@ fn training_renders_its_data_and_judges_by_the_true_covariances() {
     let json = std::fs::read_to_string(folder.path().join("runs/tiny/evaluation.json")).unwrap();
     let evaluation: serde_json::Value = serde_json::from_str(&json).unwrap();
     let vo = &evaluation["systems"]["vo"]["methods"];
-    // Three times 11 pairs with their true covariance: calibrated within wide limits.
+    // Eleven pairs with their true covariance: calibrated within wide limits.
     let anees = vo["oracle"]["anees"].as_f64().unwrap();
     assert!((0.4..1.9).contains(&anees), "{anees}");
     assert!(vo["relcov"]["against_true"]["median_sigma_ratio"][0].as_f64().unwrap() > 0.0);
@@ -131,6 +133,10 @@ fn training_renders_its_data_and_judges_by_the_true_covariances() {
     relcov(&["inspect", "--config", text(&config), "--set", "data.synthetic.seed=4"])
         .assert()
         .code(1)
+        .stderr(contains("relcov synth --config"));
+    relcov(&["train", "--config", text(&config), "--set", "data.synthetic.seed=4", "--set", "name=other"])
+        .assert()
+        .code(1)
         .stderr(contains("data.root").and(contains("seed = 0 there, 4 wanted")));
 }
 
@@ -139,6 +145,9 @@ fn a_contact_sheet_shows_every_system_of_a_few_pairs() {
     let folder = tempfile::tempdir().unwrap();
     let config = write_config(folder.path());
     let sheet = folder.path().join("sheet.png");
+    let inspect = ["inspect", "--config", text(&config)];
+    relcov(&inspect).assert().code(1).stderr(contains("not rendered yet").and(contains("relcov synth --config")));
+    relcov(&["synth", "--config", text(&config)]).assert().success();
     relcov(&["inspect", "--config", text(&config), "--contact-sheet", text(&sheet), "--pairs", "2"])
         .assert()
         .success()

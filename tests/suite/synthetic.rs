@@ -5,12 +5,14 @@ use std::path::{Path, PathBuf};
 
 use burn::tensor::{Device, Tensor, TensorData};
 use nalgebra::Vector2;
-use relcov::data::{Drive, read_image};
+use relcov::config::Config;
+use relcov::data::{Dataset, Drive, PairScope, read_image};
 use relcov::depth::{project_scan, read_depth_png, read_scan};
 use relcov::geometry::Pose;
-use relcov::synthetic::{RecordingProgress, Replace, SYSTEMS, SyntheticSettings, record};
+use relcov::synthetic::{RecordingProgress, Replace, SYSTEMS, SyntheticSettings, is_rendered, record};
 use relcov::systems::parse_relative_poses;
 use relcov::warp::Warp;
+use sha2::{Digest, Sha256};
 
 const DRIVE: &str = "2026_01_01_drive_0001_sync";
 
@@ -86,11 +88,10 @@ fn warping_by_true_depth_and_pose_reproduces_the_next_image() {
         );
         let warped_image: Vec<f32> = warped.image.into_data().iter().collect();
         let valid: Vec<f32> = warped.valid_mask.into_data().iter().collect();
-        for pixel in 0..width * height {
-            let depth = f64::from(target_depth.depth_m[pixel]);
-            if valid[pixel] == 0.0 || depth == 0.0 {
-                continue;
-            }
+        let known =
+            target_depth.depth_m.iter().zip(&valid).enumerate().filter(|(_, (depth, valid))| **depth * **valid > 0.0);
+        for (pixel, (&depth, _)) in known {
+            let depth = f64::from(depth);
             // What is hidden in the source, or moved by itself, has another depth there.
             let place = Vector2::new((pixel % width) as f64, (pixel / width) as f64);
             let point = source_from_target.transform_point(&camera.backproject(&place, depth));
@@ -249,6 +250,97 @@ fn every_measurement_states_its_covariance_and_its_errors_fit_it() {
         let degrees = 6.0 * measured.len() as f64;
         assert!((distances - degrees).abs() < 3.291 * (2.0 * degrees).sqrt(), "{system}: {distances} of {degrees}");
     }
+}
+
+#[test]
+fn true_covariances_fit_the_errors_in_every_error_frame() {
+    let folder = rendered(&SyntheticSettings { drives: 3, lidar_steps: 0, vo_pixel_noise: 0.3, ..plain(150) });
+    for frame in ["vehicle", "camera", "world"] {
+        let config = folder.path().join("config.toml");
+        let drive = |number: usize| format!("[{{ drive = \"2026_01_01_drive_{number:04}_sync\" }}]");
+        let systems: String = [("vo", "camera2"), ("icp", "vehicle")]
+            .map(|(name, body)| {
+                format!("[[systems]]\nname = \"{name}\"\nshare = 0.5\nsource = \"relative\"\npath = \"measurements/{name}/{{drive}}.csv\"\nframe = \"{body}\"\n")
+            })
+            .concat();
+        let (train, validation, test) = (drive(1), drive(2), drive(3));
+        let text = format!(
+            "name = \"frames\"\n[data]\nroot = \".\"\nerror_frame = \"{frame}\"\ntrain = {train}\nvalidation = {validation}\ntest = {test}\n{systems}"
+        );
+        std::fs::write(&config, text).unwrap();
+        let dataset = Dataset::load(&Config::load(&config, &[]).unwrap(), PairScope::Poses).unwrap();
+        assert!(dataset.synthetic);
+        for (system, name) in ["vo", "icp"].into_iter().enumerate() {
+            let splits = [&dataset.train, &dataset.validation, &dataset.test];
+            let pairs: Vec<_> = splits.iter().flat_map(|split| &split.pairs[split.systems[system].clone()]).collect();
+            assert_eq!(pairs.len(), 3 * 149);
+            let distances: f64 = pairs
+                .iter()
+                .map(|pair| {
+                    pair.error.dot(&pair.stated_covariance.unwrap().matrix().cholesky().unwrap().solve(&pair.error))
+                })
+                .sum();
+            let degrees = 6.0 * pairs.len() as f64;
+            assert!(
+                (distances - degrees).abs() < 3.291 * (2.0 * degrees).sqrt(),
+                "{name} in {frame} axes: {distances} of {degrees}"
+            );
+        }
+    }
+}
+
+#[test]
+fn the_bytes_are_those_of_every_other_machine() {
+    let settings = SyntheticSettings { drives: 1, frames: 4, size: [48, 32], lidar_steps: 16, ..Default::default() };
+    let mut hash = Sha256::new();
+    for (path, bytes) in contents(rendered(&settings).path()) {
+        hash.update(path.to_string_lossy().as_bytes());
+        hash.update(bytes);
+    }
+    let found: String = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+    // Another image means another version of the world: raise VERSION in src/synthetic/folder.rs.
+    assert_eq!(found, "310606941f932989d348432c25bed08b9295608aaefe47157e69d7931ebfa1b3");
+}
+
+#[test]
+fn a_second_process_waits_its_turn_and_a_broken_manifest_is_left_alone() {
+    let settings = SyntheticSettings { drives: 1, frames: 2, size: [32, 16], lidar_steps: 8, ..Default::default() };
+    let folder = tempfile::tempdir().unwrap();
+    let mut inside = None;
+    record(folder.path(), &settings, Replace::Never, &mut |_| {
+        let second = record(folder.path(), &settings, Replace::Never, &mut |_| Ok(()));
+        inside = Some(second.unwrap_err().to_string());
+        Ok(())
+    })
+    .unwrap();
+    assert!(inside.unwrap().contains("another relcov is rendering"));
+
+    std::fs::write(folder.path().join("synthetic.json"), "{ \"version\":").unwrap();
+    let before = contents(folder.path());
+    for replace in [Replace::Never, Replace::Synthetic] {
+        let message = record(folder.path(), &settings, replace, &mut |_| Ok(())).unwrap_err().to_string();
+        assert!(message.contains("synthetic.json") && message.contains("Remove"), "{message}");
+    }
+    assert_eq!(before, contents(folder.path()));
+}
+
+#[test]
+fn replacing_removes_what_was_rendered_and_nothing_else() {
+    let settings = SyntheticSettings { drives: 2, frames: 2, size: [32, 16], lidar_steps: 8, ..Default::default() };
+    let folder = rendered(&settings);
+    let own = folder.path().join("measurements/my_system/2026_01_01_drive_0001.csv");
+    std::fs::create_dir_all(own.parent().unwrap()).unwrap();
+    std::fs::write(&own, "mine").unwrap();
+    let missing = frame_file(folder.path(), "image_03", 1, "png");
+    std::fs::remove_file(&missing).unwrap();
+    let smaller = SyntheticSettings { drives: 1, ..settings.clone() };
+    // Interrupted at once: the folder counts as incomplete, not as whole.
+    assert!(record(folder.path(), &smaller, Replace::Synthetic, &mut |_| Err(relcov::Error::Interrupted)).is_err());
+    assert!(!is_rendered(folder.path(), &settings) && !is_rendered(folder.path(), &smaller));
+    assert!(record(folder.path(), &smaller, Replace::Never, &mut |_| Ok(())).unwrap());
+    assert!(is_rendered(folder.path(), &smaller) && missing.exists());
+    assert_eq!(std::fs::read_to_string(&own).unwrap(), "mine");
+    assert!(!folder.path().join("2026_01_01/2026_01_01_drive_0002_sync").exists());
 }
 
 #[test]
