@@ -12,6 +12,14 @@ lint:
 test *ARGS:
     cargo test --release {{ARGS}}
 
+# The first command: renders a street world, trains, prints the table
+synthetic *ARGS:
+    cargo run --release -- train --config configs/synthetic.toml {{ARGS}}
+
+# A rendered data set as pykitti sees it
+check-synthetic:
+    uv run data_scripts/check_synthetic.py
+
 # The main job on the real sample
 sample *ARGS:
     cargo run --release -- train --config configs/kitti_sample.toml {{ARGS}}

@@ -99,8 +99,9 @@ def main() -> None:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         size = f"{WIDTH}x{HEIGHT}"
-        options = ["--drives", "2", "--frames", str(FRAMES), "--size", size, "--vo-pixel-noise", "1e-4", "--quiet"]
-        subprocess.run([arguments.relcov, "synth", "--out", folder, *options], check=True, stdout=subprocess.DEVNULL)
+        options = ["--drives", "2", "--frames", str(FRAMES), "--size", size, "--vo-pixel-noise", "1e-3"]
+        command = [arguments.relcov, "synth", "--out", folder, "--quiet", "--vo-landmarks", "192", *options]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
         for drive in ("0001", "0002"):
             print(f"drive {drive}")
             check_drive(Path(folder), drive)

@@ -11,12 +11,13 @@
 //! | know what order, side, frame and unit a number has | [`geometry`] |
 //! | train | [`training::Learner`], or `relcov train` |
 //! | judge a model | [`evaluation`], or `relcov eval` |
+//! | have data whose true covariances are known | [`synthetic`], or `relcov synth` |
 //! | read the method | [`model`], [`warp`], [`network`], [`loss`] |
 //! | know why it is fast | [`kernels`] |
 //!
 //! Data flow one way: [`data`] (with [`systems`] and [`depth`]) → [`warp`] → [`network`] → [`loss`] →
 //! [`training`] → [`evaluation`] → [`report`]. Two worlds meet at two doors: [`data::PairBatch`] takes
-//! f64 poses to f32 tensors, [`evaluation::predict_split`] and [`Model::predict`] bring them back.
+//! f64 poses to f32 tensors, [`evaluation`] and [`Model::predict`] bring numbers back.
 #![warn(missing_docs)]
 #![deny(unsafe_code)]
 

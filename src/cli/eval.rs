@@ -75,11 +75,11 @@ pub fn evaluate(
         .into());
     }
     let device = open_device(&config.device)?;
+    let model = run.load_model(&manifest, &device)?;
     synth::make_if_asked(&config, terminal)?;
     let dataset = Dataset::load(&config, PairScope::Images)?;
     let pairs = dataset.require(split)?;
     let reader = Arc::new(PairReader::new(&config, &dataset, split));
-    let model = run.load_model(&manifest, &device)?;
 
     let mut progress = Progress::new(terminal.quiet, "evaluating", 0, pairs.pairs.len());
     let predictions = predict_split(&model, &reader, pairs, &config.training, &device, &mut |done| {
@@ -96,6 +96,17 @@ pub fn evaluate(
     for (system, results) in &evaluation.systems {
         if results.methods.iter().all(|(name, _)| *name != MethodName::Constant.name()) {
             note(terminal.quiet, &format!("no constant baseline for `{system}`: the run was not trained on it"));
+        }
+    }
+    for (index, system) in dataset.systems.iter().enumerate() {
+        let rows: Vec<_> = predictions.iter().filter(|prediction| prediction.system == index).collect();
+        let stated = rows.iter().filter(|prediction| prediction.stated_covariance.is_some()).count();
+        if stated > 0 && stated < rows.len() {
+            let text = format!(
+                "`{system}` states the covariance of {stated} of {} pairs only: they are not evaluated",
+                rows.len()
+            );
+            note(terminal.quiet, &text);
         }
     }
     for bad in &bad_frames {

@@ -45,7 +45,7 @@ pub fn run(arguments: &InspectArguments) -> anyhow::Result<()> {
     if let Some(settings) = config.data.synthetic.as_ref().filter(|settings| !is_rendered(&config.data.root, settings))
     {
         anyhow::bail!(
-            "{}: the synthetic data set ({} frames) is not rendered yet, or is another; render it with: relcov synth --config {} (train does it by itself)",
+            "{}: the synthetic data set ({} frames) is not rendered yet, or is another; render it with: relcov synth --config {} and the same --set, if any (train does it by itself)",
             config.data.root.display(),
             settings.drives * settings.frames,
             arguments.config.display()

@@ -23,6 +23,7 @@ const INTERRUPTED: u8 = 130;
 #[derive(Parser)]
 #[command(name = "relcov", version, about = "Error bars for any relative-pose measurement", long_about = None)]
 #[command(after_help = "Examples:
+  relcov train --config configs/synthetic.toml
   relcov inspect --config configs/kitti_sample.toml
   relcov train --config configs/kitti_sample.toml
   relcov eval --run checkpoints/kitti_sample")]

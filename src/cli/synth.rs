@@ -55,9 +55,12 @@ pub struct SynthArguments {
     /// Standard deviation of the visual odometry's landmarks, px
     #[arg(long, value_name = "PX", default_value_t = SyntheticSettings::default().vo_pixel_noise)]
     vo_pixel_noise: f64,
-    /// Most landmarks it follows
+    /// Most landmarks it follows, of 192 places it looks at
     #[arg(long, value_name = "N", default_value_t = SyntheticSettings::default().vo_landmarks)]
     vo_landmarks: usize,
+    /// Override a key of the configuration; repeatable
+    #[arg(long = "set", value_name = "KEY=VALUE", requires = "config")]
+    set: Vec<String>,
     /// Replace the synthetic data set that is there
     #[arg(long)]
     force: bool,
@@ -72,7 +75,7 @@ pub fn run(arguments: &SynthArguments, terminal: &Terminal) -> anyhow::Result<()
     let replace = if arguments.force { Replace::Synthetic } else { Replace::Never };
     let (out, settings) = match (&arguments.config, &arguments.out) {
         (Some(path), _) => {
-            let config = Config::load(path, &[])?;
+            let config = Config::load(path, &arguments.set)?;
             let asks_for_none =
                 || format!("{}: has no table data.synthetic: there is nothing to render", path.display());
             (config.data.root, config.data.synthetic.with_context(asks_for_none)?)
@@ -104,7 +107,7 @@ pub fn make_if_asked(config: &Config, terminal: &Terminal) -> anyhow::Result<()>
     let Some(settings) = &config.data.synthetic else { return Ok(()) };
     let root = &config.data.root;
     make(root, settings, Replace::Never, terminal).with_context(|| {
-        format!("the configuration asks for a synthetic data set (data.synthetic) at data.root = {}; `relcov synth --config FILE` renders it, with --force in place of another", root.display())
+        format!("the configuration asks for a synthetic data set (data.synthetic) at data.root = {}; `relcov synth --config FILE`, with the same --set, renders it; with --force in place of another", root.display())
     })
 }
 

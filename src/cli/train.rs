@@ -83,7 +83,7 @@ fn prepare(arguments: &TrainArguments, terminal: &Terminal) -> anyhow::Result<Le
     note(terminal.quiet, &format!("device: {}", device_name(&device)));
     if is_slow_to_train(&device) {
         tracing::warn!(
-            "ndarray trains this network some 20 times slower than flex; --device flex is the fast CPU backend"
+            "ndarray trains this network some 40 times slower than flex; --device flex is the fast CPU backend"
         );
     }
     if resumed.is_none() && !arguments.force {

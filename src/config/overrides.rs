@@ -27,7 +27,8 @@ pub(super) fn merge(
         anchor(&mut table, key, folder);
     }
     // A synthetic data set is made where the configuration says, not among recorded ones.
-    let recorded = !table.get("data").and_then(Value::as_table).is_some_and(|data| data.contains_key("synthetic"));
+    let recorded = !table.get("data").and_then(Value::as_table).is_some_and(|data| data.contains_key("synthetic"))
+        && !overrides.iter().any(|text| text.trim_start().starts_with("data.synthetic"));
     if let Some(root) = data_root.filter(|_| recorded) {
         assign(&mut table, "data.root", Value::String(root.display().to_string()))?;
         anchor(&mut table, "data.root", Path::new(""));

@@ -63,7 +63,8 @@ pub enum Schedule {
     #[default]
     Constant,
     /// Rises linearly during the first 5 % of `training.epochs`, then falls along half a cosine to zero
-    /// (Loshchilov and Hutter 2017): noise of the steps dies away towards the end.
+    /// (Loshchilov and Hutter 2017): noise of the steps dies away towards the end. A run
+    /// resumed with other epochs takes the rate that belongs to them.
     Cosine,
 }
 

@@ -1,7 +1,8 @@
 //! What a configuration must satisfy beyond its types.
 
-use super::{Config, DepthConfig, MinLogVariance};
+use super::{Config, DepthConfig, DriveConfig, MinLogVariance};
 use crate::error::{Error, Result};
+use crate::synthetic::{SyntheticSettings, drive_name};
 
 impl Config {
     /// Checks values against each other.
@@ -26,6 +27,7 @@ impl Config {
     fn validate_data(&self) -> Result<()> {
         if let Some(synthetic) = &self.data.synthetic {
             synthetic.validate("data.synthetic.")?;
+            self.validate_synthetic_drives(synthetic)?;
         }
         let fraction = self.data.validation_fraction;
         require((0.0..1.0).contains(&fraction), "data.validation_fraction", || format!("{fraction} is not in [0, 1)"))?;
@@ -45,6 +47,28 @@ impl Config {
             }
         }
         Ok(())
+    }
+
+    /// What the configuration reads must be among what it renders: found now rather than after rendering.
+    fn validate_synthetic_drives(&self, synthetic: &SyntheticSettings) -> Result<()> {
+        for (split, drives) in
+            [("train", &self.data.train), ("validation", &self.data.validation), ("test", &self.data.test)]
+        {
+            for (index, DriveConfig { drive, .. }) in drives.iter().enumerate() {
+                let rendered = (1..=synthetic.drives).any(|number| drive_name(number) == *drive);
+                require(rendered, &format!("data.{split}.{index}.drive"), || {
+                    let (first, last) = (drive_name(1), drive_name(synthetic.drives));
+                    format!(
+                        "`{drive}` is none of the {} drives that data.synthetic renders: {first} to {last}",
+                        synthetic.drives
+                    )
+                })?;
+            }
+        }
+        let scans = synthetic.lidar_steps > 0 || !matches!(self.depth, DepthConfig::Lidar { .. });
+        require(scans, "depth.source", || {
+            "`lidar` needs scans; data.synthetic.lidar_steps = 0 leaves them out".to_owned()
+        })
     }
 
     fn validate_systems(&self) -> Result<()> {

@@ -9,22 +9,23 @@ use sha2::{Digest, Sha256};
 
 use super::drive::Drive;
 use super::pairing::Pairing;
-use crate::config::{Config, DriveConfig, WatchedSplit};
+use crate::config::{Config, DriveConfig, RelativeConfig, SystemConfig, SystemSource, TruthConfig, WatchedSplit};
 use crate::error::{Error, Result};
 use crate::geometry::{Covariance6, Pose, Tangent};
-use crate::synthetic::is_synthetic;
+use crate::synthetic::{SYSTEMS, is_synthetic};
 
 /// What an experiment works with.
 #[derive(Clone, Debug)]
 pub struct Dataset {
     /// Folder of the data.
     pub root: PathBuf,
-    /// Whether it was rendered, so that the covariances its measurements state are the true ones.
-    pub synthetic: bool,
     /// Every drive named by a split, once.
     pub drives: Vec<Drive>,
     /// Names of the systems.
     pub systems: Vec<String>,
+    /// For each system: whether its measurements were rendered, so that the covariances they state are the
+    /// true ones.
+    pub simulated: Vec<bool>,
     /// Pairs to learn from.
     pub train: Split,
     /// Pairs to watch.
@@ -161,9 +162,9 @@ impl Dataset {
         let systems = config.systems.len();
         let dataset = Self {
             root: config.data.root.clone(),
-            synthetic: is_synthetic(&config.data.root),
             drives: pairing.into_drives(),
             systems: config.systems.iter().map(|system| system.name.clone()).collect(),
+            simulated: config.systems.iter().map(|system| is_simulated(config, system)).collect(),
             train: Split::new(SplitName::Train, train, systems),
             validation: Split::new(SplitName::Validation, validation, systems),
             test: Split::new(SplitName::Test, test, systems),
@@ -276,6 +277,13 @@ impl Split {
         let sum: Vector6<f64> = pairs.iter().map(|pair| pair.error.component_mul(&pair.error)).sum();
         sum / pairs.len().max(1) as f64
     }
+}
+
+/// Whether a system is one that was rendered together with the data, judged by the truth it was drawn around.
+fn is_simulated(config: &Config, system: &SystemConfig) -> bool {
+    let SystemSource::Relative(RelativeConfig { path, .. }) = &system.source else { return false };
+    let rendered = SYSTEMS.iter().any(|name| *path == format!("measurements/{name}/{{drive}}.csv"));
+    rendered && config.truth == TruthConfig::Oxts && is_synthetic(&config.data.root)
 }
 
 /// Gives the last part of each drive to the second set; the pair before it, which shares an image with

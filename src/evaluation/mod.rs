@@ -1,6 +1,6 @@
 //! How good predicted covariances are: predictions, metrics, baselines, and the files that keep them.
 //!
-//! The only door from the device back to the CPU ([`predict_split`]); everything after it is f64.
+//! The only room that takes numbers from the device back to the CPU ([`read_values`]); everything after it is f64.
 //! Knows nothing of tables and pictures (`report`).
 
 mod baselines;

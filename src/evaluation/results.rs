@@ -132,7 +132,8 @@ pub fn evaluate_run(
             )));
         }
         let summary = manifest.systems.iter().find(|summary| &summary.name == name);
-        let methods = evaluate_methods(&rows, summary, manifest.architecture.log_variance_floor, dataset.synthetic);
+        let methods =
+            evaluate_methods(&rows, summary, manifest.architecture.log_variance_floor, dataset.simulated[index]);
         systems.push((name.clone(), SystemEvaluation { pairs: rows.len(), methods }));
     }
     let Conventions { error, error_frame, components, units, .. } = manifest.conventions.clone();
@@ -150,7 +151,7 @@ pub fn evaluate_run(
             .map(|bad| format!("{} frame {}: {}", bad.drive, bad.frame, bad.problem))
             .collect(),
         systems,
-        separation: separation(predictions, dataset),
+        separation: separation(predictions, &dataset.systems),
         perturbation_response: None,
     })
 }
@@ -160,13 +161,13 @@ fn evaluate_methods(
     rows: &[&Prediction],
     summary: Option<&SystemSummary>,
     floor: Option<[f64; 6]>,
-    synthetic: bool,
+    simulated: bool,
 ) -> Vec<(&'static str, Metrics)> {
     let errors: Vec<[f64; 6]> = rows.iter().map(|row| row.error).collect();
     let stated: Option<Vec<Covariance6>> = rows.iter().map(|row| row.stated_covariance).collect();
     let true_variances: Option<Vec<[f64; 6]>> = stated
         .as_ref()
-        .filter(|_| synthetic)
+        .filter(|_| simulated)
         .map(|stated| stated.iter().map(|covariance| covariance.variance().into()).collect());
     let against_true = |variances: &[[f64; 6]]| AgainstTrue::compare(variances, true_variances.as_deref()?);
     let diagonal = |method: MethodName, variances: Vec<[f64; 6]>| {
@@ -185,7 +186,7 @@ fn evaluate_methods(
         methods.push(diagonal(MethodName::LogLinear, variances));
     }
     if let Some(stated) = &stated {
-        let name = if synthetic { MethodName::Oracle } else { MethodName::Stated }.name();
+        let name = if simulated { MethodName::Oracle } else { MethodName::Stated }.name();
         methods.push((name, evaluate_full(stated, &errors).expect("not empty")));
     }
     if let Some(variances) = &true_variances {
@@ -195,11 +196,11 @@ fn evaluate_methods(
 }
 
 /// The first system beside the first one that is the truth itself, on pairs that both have.
-fn separation(predictions: &[Prediction], dataset: &Dataset) -> Option<Separation> {
+fn separation(predictions: &[Prediction], systems: &[String]) -> Option<Separation> {
     let of_system = |system: usize| predictions.iter().filter(move |prediction| prediction.system == system);
     let is_truth =
         |&system: &usize| of_system(system).all(|row| row.error == [0.0; 6]) && of_system(system).next().is_some();
-    let truth = (1..dataset.systems.len()).find(is_truth)?;
+    let truth = (1..systems.len()).find(is_truth)?;
     let pairs = |system: usize| of_system(system).map(|row| row.pair).collect::<BTreeSet<_>>();
     let shared: BTreeSet<_> = pairs(0).intersection(&pairs(truth)).copied().collect();
     let variances = |system: usize| -> Vec<[f64; 6]> {
@@ -211,7 +212,7 @@ fn separation(predictions: &[Prediction], dataset: &Dataset) -> Option<Separatio
     let auroc = auroc(&traces(&first), &traces(&second))?;
     let ratio = |c: usize| median_sigma(&first, c).zip(median_sigma(&second, c)).map_or(f64::NAN, |(a, b)| a / b);
     Some(Separation {
-        systems: [0, truth].map(|system| dataset.systems[system].clone()),
+        systems: [0, truth].map(|system| systems[system].clone()),
         median_sigma_ratio: std::array::from_fn(ratio),
         auroc,
     })
@@ -259,4 +260,55 @@ fn as_map<K: Serialize, V: Serialize, S: serde::Serializer>(
     serializer: S,
 ) -> Result<S::Ok, S::Error> {
     serializer.collect_map(entries.iter().map(|(key, value)| (key, value)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::data::PairId;
+    use crate::geometry::Tangent;
+
+    fn prediction(system: usize, frame: usize, error: f64, variance: f64) -> Prediction {
+        Prediction {
+            pair: PairId { drive: 0, source: frame, target: frame + 1 },
+            system,
+            error: [error; 6],
+            log_variance: [variance.ln(); 6],
+            motion: Tangent::zeros(),
+            stated_covariance: Some(Covariance6::from_std_devs(&Tangent::repeat(0.2))),
+        }
+    }
+
+    fn names(rows: &[Prediction], simulated: bool) -> Vec<&'static str> {
+        let rows: Vec<&Prediction> = rows.iter().collect();
+        evaluate_methods(&rows, None, None, simulated).into_iter().map(|(name, _)| name).collect()
+    }
+
+    #[test]
+    fn a_stated_covariance_is_an_oracle_only_where_it_was_simulated() {
+        let mut rows = vec![prediction(0, 0, 0.1, 0.01), prediction(0, 1, -0.3, 0.04)];
+        assert_eq!(names(&rows, true), ["relcov", "zero", "oracle", "oracle_diagonal"]);
+        assert_eq!(names(&rows, false), ["relcov", "zero", "stated"]);
+        let methods = evaluate_methods(&rows.iter().collect::<Vec<_>>(), None, None, true);
+        let ratio = methods[0].1.against_true.as_ref().unwrap().median_sigma_ratio;
+        // σ of .1 and .2 beside a true .2.
+        assert!(ratio.iter().all(|value| (value - 0.75).abs() < 1e-12), "{ratio:?}");
+        rows[1].stated_covariance = None;
+        assert_eq!(names(&rows, true), ["relcov", "zero"]);
+    }
+
+    #[test]
+    fn systems_are_told_apart_on_the_images_they_share() {
+        let systems = ["vo", "gnss"].map(str::to_owned);
+        let mut rows: Vec<Prediction> = (0..4).map(|frame| prediction(0, frame, 0.1, 0.04)).collect();
+        rows.extend((0..4).map(|frame| prediction(1, frame, 0.0, 0.01)));
+        // A pair that only one of them measured counts for neither.
+        rows.push(prediction(1, 9, 0.0, 100.0));
+        let found = separation(&rows, &systems).unwrap();
+        assert_eq!((found.systems, found.auroc), (systems.clone(), 1.0));
+        assert!(found.median_sigma_ratio.iter().all(|ratio| (ratio - 2.0).abs() < 1e-12));
+        // Without a system that is the truth there is nothing to tell apart.
+        rows.retain(|row| row.system == 0);
+        assert!(separation(&rows, &systems).is_none());
+    }
 }

@@ -46,6 +46,11 @@ pub(super) struct Claim {
     _lock: File,
 }
 
+/// Name of a drive, counted from 1.
+pub fn drive_name(drive: usize) -> String {
+    format!("{DATE}_drive_{drive:04}_sync")
+}
+
 /// Whether a folder holds a rendered data set, whose stated covariances are the true ones.
 pub fn is_synthetic(root: &Path) -> bool {
     root.join(MANIFEST).is_file()
@@ -63,6 +68,10 @@ impl Claim {
     /// # Errors
     /// The folder holds something else, another process renders into it, or it cannot be written.
     pub(super) fn stake(root: &Path, settings: &SyntheticSettings, replace: Replace) -> Result<Option<Self>> {
+        // A finished data set may be read-only, and many may read it at once.
+        if replace == Replace::Never && is_rendered(root, settings) {
+            return Ok(None);
+        }
         create_folder(root)?;
         let path = root.join(MANIFEST);
         if !path.exists() && !is_empty(root)? {
@@ -85,7 +94,9 @@ impl Claim {
         })?;
         let same = found.settings == claim.settings && found.version == VERSION;
         match replace {
-            Replace::Never if same => Ok((!found.complete).then_some(claim)),
+            // Also what an interrupted replacement has begun.
+            _ if same && !found.complete => Ok(Some(claim)),
+            Replace::Never if same => Ok(None),
             Replace::Never => Err(Error::Data(format!(
                 "{}: holds a synthetic data set with other settings ({}); choose another folder, or replace it with --force",
                 root.display(),
@@ -108,7 +119,7 @@ impl Claim {
 
     /// Folder of a drive.
     pub(super) fn drive_folder(&self, drive: usize) -> PathBuf {
-        self.date_folder().join(format!("{DATE}_drive_{drive:04}_sync"))
+        self.date_folder().join(drive_name(drive))
     }
 
     /// File of a system's measurements on a drive.
@@ -183,15 +194,21 @@ fn remove_data(root: &Path) -> Result<()> {
         true => std::fs::remove_dir_all(path).map_err(Error::io("remove", path)),
         false => std::fs::remove_file(path).map_err(Error::io("remove", path)),
     };
-    let is_drive = |name: &str| {
-        let number = name.strip_prefix(DATE).and_then(|rest| rest.strip_prefix("_drive_"));
-        number.is_some_and(|number| number.len() >= 4 && number.bytes().take(4).all(|byte| byte.is_ascii_digit()))
+    // `2026_01_01_drive_0001` and one of these ends.
+    let is_drive = |name: &str, ends: &[&str]| {
+        let rest = name.strip_prefix(DATE).and_then(|rest| rest.strip_prefix("_drive_"));
+        let numbered =
+            |(number, end): (&str, &str)| number.bytes().all(|byte| byte.is_ascii_digit()) && ends.contains(&end);
+        rest.and_then(|rest| rest.split_at_checked(4)).is_some_and(numbered)
     };
-    let is_calibration = |name: &str| name.starts_with("calib_") && name.ends_with(".txt");
+    let is_ours = |folder: &Path, name: &str| match folder.ends_with(DATE) {
+        true => is_drive(name, &["_sync"]) || (name.starts_with("calib_") && name.ends_with(".txt")),
+        false => is_drive(name, &[".csv", ".csv.partial"]),
+    };
     let measurements = root.join("measurements");
     let systems = SYSTEMS.map(|system| measurements.join(system));
     for folder in systems.iter().chain([&root.join(DATE)]).filter(|folder| folder.is_dir()) {
-        for name in names_in(folder)?.iter().filter(|name| is_drive(name) || is_calibration(name)) {
+        for name in names_in(folder)?.iter().filter(|name| is_ours(folder, name)) {
             remove(&folder.join(name))?;
         }
     }

@@ -24,7 +24,7 @@ mod systems;
 mod texture;
 mod world;
 
-pub use folder::{Replace, is_rendered, is_synthetic};
+pub use folder::{Replace, drive_name, is_rendered, is_synthetic};
 pub use recording::{RecordingProgress, record};
 pub use settings::SyntheticSettings;
 pub use systems::SYSTEMS;

@@ -54,8 +54,11 @@ pub(super) fn stereo_odometry_covariance(
         let (column, row) = (bucket % BUCKETS[0], bucket / BUCKETS[0]);
         let u = (column as f64 + random.uniform()) * view.camera.width as f64 / BUCKETS[0] as f64;
         let v = (row as f64 + random.uniform()) * view.camera.height as f64 / BUCKETS[1] as f64;
+        if landmarks == settings.vo_landmarks {
+            break;
+        }
         let contrast = contrast(&view, target.gain, u, v);
-        if landmarks == settings.vo_landmarks || contrast < LEAST_CONTRAST {
+        if contrast < LEAST_CONTRAST {
             continue;
         }
         let faintness = HALF_CONTRAST / contrast;

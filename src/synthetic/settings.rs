@@ -27,7 +27,7 @@ pub struct SyntheticSettings {
     pub exposure_jitter: f64,
     /// Standard deviation of the simulated visual odometry's landmarks in the image, px. Default: 0.5.
     pub vo_pixel_noise: f64,
-    /// Most landmarks it follows. Default: 60.
+    /// Most landmarks it follows, of 192 places it looks at. Default: 60.
     pub vo_landmarks: usize,
 }
 
@@ -62,7 +62,11 @@ impl SyntheticSettings {
         require((1..=9999).contains(&drives), "drives", format!("{drives} is not between 1 and 9999"))?;
         require((2..=1_000_000).contains(&frames), "frames", format!("{frames} is not between 2 and 1000000"))?;
         let fits = width.min(height) >= 16 && width.max(height) <= 4096 && width * height <= 4_000_000;
-        require(fits, "size", format!("{width}x{height} is not between 16x16 and four million pixels"))?;
+        require(
+            fits,
+            "size",
+            format!("{width}x{height}: each side must have 16 to 4096 pixels, the image at most four million"),
+        )?;
         let steps = self.lidar_steps;
         require(steps <= 10_000, "lidar_steps", format!("{steps} is more than 10000"))?;
         for (key, value, limit) in [
@@ -73,8 +77,8 @@ impl SyntheticSettings {
             require((0.0..=limit).contains(&value), key, format!("{value} is not between 0 and {limit}"))?;
         }
         let noise = self.vo_pixel_noise;
-        require((1e-4..=100.0).contains(&noise), "vo_pixel_noise", format!("{noise} is not between 0.0001 and 100"))?;
+        require((1e-3..=100.0).contains(&noise), "vo_pixel_noise", format!("{noise} is not between 0.001 and 100"))?;
         let landmarks = self.vo_landmarks;
-        require(landmarks <= 10_000, "vo_landmarks", format!("{landmarks} is more than 10000"))
+        require(landmarks <= 192, "vo_landmarks", format!("{landmarks} is more than the 192 places that are looked at"))
     }
 }

@@ -171,7 +171,7 @@ fn packets_return_the_poses_the_measurements_were_made_from() {
     );
     assert!(drive.problems.is_empty() && drive.timestamps_s.len() == 40);
     // With hardly any pixel noise the visual odometry's error is far below a millimetre.
-    let exact = SyntheticSettings { vo_pixel_noise: 1e-4, ..settings };
+    let exact = SyntheticSettings { vo_pixel_noise: 1e-3, vo_landmarks: 192, ..settings };
     let exact_folder = rendered(&exact);
     let path = exact_folder.path().join("measurements/vo/2026_01_01_drive_0001.csv");
     let measured = parse_relative_poses(&std::fs::read_to_string(&path).unwrap(), &path).unwrap();
@@ -269,7 +269,7 @@ fn true_covariances_fit_the_errors_in_every_error_frame() {
         );
         std::fs::write(&config, text).unwrap();
         let dataset = Dataset::load(&Config::load(&config, &[]).unwrap(), PairScope::Poses).unwrap();
-        assert!(dataset.synthetic);
+        assert_eq!(dataset.simulated, [true, true]);
         for (system, name) in ["vo", "icp"].into_iter().enumerate() {
             let splits = [&dataset.train, &dataset.validation, &dataset.test];
             let pairs: Vec<_> = splits.iter().flat_map(|split| &split.pairs[split.systems[system].clone()]).collect();
@@ -303,7 +303,7 @@ fn the_bytes_are_those_of_every_other_machine() {
 }
 
 #[test]
-fn a_second_process_waits_its_turn_and_a_broken_manifest_is_left_alone() {
+fn a_folder_being_rendered_is_refused_and_a_broken_manifest_left_alone() {
     let settings = SyntheticSettings { drives: 1, frames: 2, size: [32, 16], lidar_steps: 8, ..Default::default() };
     let folder = tempfile::tempdir().unwrap();
     let mut inside = None;
@@ -334,12 +334,14 @@ fn replacing_removes_what_was_rendered_and_nothing_else() {
     let missing = frame_file(folder.path(), "image_03", 1, "png");
     std::fs::remove_file(&missing).unwrap();
     let smaller = SyntheticSettings { drives: 1, ..settings.clone() };
+    std::fs::write(folder.path().join("measurements/vo/2026_01_01_drive_0001_mine.csv"), "mine").unwrap();
     // Interrupted at once: the folder counts as incomplete, not as whole.
     assert!(record(folder.path(), &smaller, Replace::Synthetic, &mut |_| Err(relcov::Error::Interrupted)).is_err());
     assert!(!is_rendered(folder.path(), &settings) && !is_rendered(folder.path(), &smaller));
     assert!(record(folder.path(), &smaller, Replace::Never, &mut |_| Ok(())).unwrap());
     assert!(is_rendered(folder.path(), &smaller) && missing.exists());
     assert_eq!(std::fs::read_to_string(&own).unwrap(), "mine");
+    assert!(folder.path().join("measurements/vo/2026_01_01_drive_0001_mine.csv").exists());
     assert!(!folder.path().join("2026_01_01/2026_01_01_drive_0002_sync").exists());
 }
 
