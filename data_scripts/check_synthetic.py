@@ -25,7 +25,7 @@ import pykitti
 from PIL import Image
 
 ROOT = Path(__file__).resolve().parent.parent
-WIDTH, HEIGHT, FRAMES = 320, 96, 30
+WIDTH, HEIGHT, FRAMES = 640, 200, 20
 
 failures = 0
 

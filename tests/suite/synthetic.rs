@@ -171,7 +171,8 @@ fn packets_return_the_poses_the_measurements_were_made_from() {
     );
     assert!(drive.problems.is_empty() && drive.timestamps_s.len() == 40);
     // With hardly any pixel noise the visual odometry's error is far below a millimetre.
-    let exact = SyntheticSettings { vo_pixel_noise: 1e-3, vo_landmarks: 192, ..settings };
+    let exact =
+        SyntheticSettings { size: [640, 200], vo_pixel_noise: 1e-3, vo_landmarks: 192, lidar_steps: 0, ..settings };
     let exact_folder = rendered(&exact);
     let path = exact_folder.path().join("measurements/vo/2026_01_01_drive_0001.csv");
     let measured = parse_relative_poses(&std::fs::read_to_string(&path).unwrap(), &path).unwrap();
