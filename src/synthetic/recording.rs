@@ -18,7 +18,7 @@ use super::sensors::{Exposure, View, beam_directions, photograph, scan};
 use super::settings::SyntheticSettings;
 use super::systems::{SYSTEMS, measure};
 use super::world::{Moment, World};
-use crate::depth::encode_depth_png;
+use crate::depth::{DepthMap, encode_depth_png};
 use crate::error::{Error, Result};
 use crate::files::{put_in_place, write_renamed};
 use crate::geometry::{Pinhole, Pose};
@@ -196,12 +196,12 @@ impl Studio<'_> {
         }
         write_renamed(&file("oxts", "txt"), packet(moment, start).as_bytes())?;
         let (left_image, depth) = self.photograph(moment, seed, &vehicle_from_left, 2);
-        write_renamed(&file("depth_02", "png"), &depth)?;
+        write_renamed(&file("depth_02", "png"), &encode_depth_png(&depth))?;
         write_renamed(&left, &left_image)
     }
 
-    /// A colour PNG and a depth PNG.
-    fn photograph(&self, moment: &Moment, seed: u64, vehicle_from_camera: &Pose, camera: u64) -> (Vec<u8>, Vec<u8>) {
+    /// A colour image as PNG, and its depth.
+    fn photograph(&self, moment: &Moment, seed: u64, vehicle_from_camera: &Pose, camera: u64) -> (Vec<u8>, DepthMap) {
         let view = |world_from_vehicle: &Pose| View {
             scene: &moment.scene,
             light: &moment.light,
@@ -220,6 +220,6 @@ impl Studio<'_> {
         PngEncoder::new_with_quality(&mut png, CompressionType::Fast, FilterType::Up)
             .write_image(&pixels, width as u32, height as u32, ExtendedColorType::Rgb8)
             .expect("three bytes a pixel");
-        (png, encode_depth_png(&depth))
+        (png, depth)
     }
 }

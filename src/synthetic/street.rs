@@ -147,7 +147,7 @@ impl Street {
         }
     }
 
-    /// Oncoming cars, and now and then one that drives ahead.
+    /// Oncoming cars, and one that drives ahead, near or far.
     fn traffic(&self, road: &Road, state: &CarState, first_m: f64, end_m: f64) -> Vec<MovingCar> {
         let mut cars = Vec::new();
         let mut push = |key: u64, arc_m: f64, left_m: f64, forward: f64| {
