@@ -121,6 +121,7 @@ pub(super) fn inverse(matrix: &Matrix6<f64>) -> Matrix6<f64> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::world::World;
     use super::*;
 
     /// Half the width, in standard deviations, of a normal interval that 22 statements together keep with
@@ -131,6 +132,18 @@ mod tests {
     fn assert_chi_squared(sum: f64, degrees: f64) {
         let limit = OF_22_STATEMENTS * (2.0 * degrees).sqrt();
         assert!((sum - degrees).abs() < limit, "{sum} against {degrees} ± {limit}");
+    }
+
+    fn small() -> SyntheticSettings {
+        SyntheticSettings { size: [192, 64], ..SyntheticSettings::default() }
+    }
+
+    /// The first moments of a drive.
+    fn drive(frames: usize) -> (Rig, Vec<Moment>) {
+        let folder = tempfile::tempdir().unwrap();
+        let rig = Rig::install(folder.path(), small().size).unwrap();
+        let mut world = World::new(&small(), 1);
+        (rig, (0..frames).map(|_| world.next_moment()).collect())
     }
 
     #[test]
@@ -160,24 +173,15 @@ mod tests {
 
     #[test]
     fn icp_is_weakest_along_the_street() {
-        let settings = SyntheticSettings { size: [192, 64], ..SyntheticSettings::default() };
-        let folder = tempfile::tempdir().unwrap();
-        let rig = Rig::install(folder.path(), settings.size).unwrap();
-        let mut world = super::super::world::World::new(&settings, 1);
-        let mut moments: Vec<Moment> = (0..30).map(|_| world.next_moment()).collect();
-        let (target, source) = (moments.pop().unwrap(), moments.pop().unwrap());
-        let std_devs = icp_covariance(&rig, &source, &target).std_devs();
+        let (rig, moments) = drive(30);
+        let std_devs = icp_covariance(&rig, &moments[28], &moments[29]).std_devs();
         assert!(std_devs[0] > 1.3 * std_devs[1] && std_devs[0] > 1.3 * std_devs[2], "{std_devs}");
     }
 
     #[test]
     fn drawn_errors_have_the_stated_covariance() {
-        let settings = SyntheticSettings { size: [192, 64], ..SyntheticSettings::default() };
-        let folder = tempfile::tempdir().unwrap();
-        let rig = Rig::install(folder.path(), settings.size).unwrap();
-        let mut world = super::super::world::World::new(&settings, 1);
-        let moments = [world.next_moment(), world.next_moment()];
-        let covariance = stereo_odometry_covariance(&settings, &rig, world.seed(), &moments[0], &moments[1]);
+        let (rig, moments) = drive(2);
+        let covariance = stereo_odometry_covariance(&small(), &rig, 3, &moments[0], &moments[1]);
         let information = covariance.matrix().cholesky().unwrap();
         let mut random = Random::new(9, Purpose::Errors(0), 0);
         let draws: Vec<Vector6<f64>> = (0..10_000).map(|_| draw_error(&covariance, &mut random)).collect();

@@ -59,7 +59,7 @@ fn read(path: impl AsRef<Path>) -> String {
 
 #[test]
 fn every_help_ends_with_examples() {
-    for command in ["train", "eval", "inspect"] {
+    for command in ["train", "eval", "inspect", "synth"] {
         relcov().args([command, "--help"]).assert().success().stdout(contains("Examples:"));
     }
     relcov().arg("--help").assert().success().stdout(contains("Examples:"));
