@@ -11,7 +11,7 @@ use burn::optim::{GradientsParams, ModuleOptimizer};
 use burn::tensor::{Device, Distribution, Tensor, TensorData};
 use relcov::device::open_device;
 use relcov::kernels::Adam;
-use relcov::network::CovarianceNetworkConfig;
+use relcov::network::{CovarianceNetworkConfig, Head};
 use relcov::warp::Warp;
 
 #[global_allocator]
@@ -61,7 +61,7 @@ fn times(runs: usize, mut run: impl FnMut()) -> Vec<f64> {
 }
 
 fn network(height: usize, width: usize) -> CovarianceNetworkConfig {
-    CovarianceNetworkConfig { channels: 6, height, width, dropout: 0.5 }
+    CovarianceNetworkConfig { channels: 6, pose: false, head: Head::Diagonal, height, width, dropout: 0.5 }
 }
 
 /// Forward, mean square, backward, Adam.
@@ -72,7 +72,7 @@ fn train([batch, height, width]: [usize; 3], runs: usize, device: &Device) -> Ve
     let targets = Tensor::<2>::random([batch, 6], Distribution::Normal(0.0, 1.0), device);
     times(runs, || {
         let network = model.take().expect("put back below");
-        let loss = (network.forward(images.clone()) - targets.clone()).square().mean();
+        let loss = (network.forward(images.clone(), None) - targets.clone()).square().mean();
         let gradients = GradientsParams::from_grads(loss.backward(), &network);
         model = Some(optimiser.step(1e-4, network, gradients));
         device.sync().expect("a device that works");
@@ -83,7 +83,7 @@ fn train([batch, height, width]: [usize; 3], runs: usize, device: &Device) -> Ve
 fn forward([batch, height, width]: [usize; 3], runs: usize, device: &Device) -> Vec<f64> {
     let network = network(height, width).init([0.0; 6], device);
     let images = Tensor::<4>::random([batch, 6, height, width], Distribution::Normal(0.0, 1.0), device);
-    times(runs, || drop(std::hint::black_box(network.forward(images.clone()).into_data())))
+    times(runs, || drop(std::hint::black_box(network.forward(images.clone(), None).into_data())))
 }
 
 /// A flat road, seen from a car that drives on.

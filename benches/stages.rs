@@ -44,13 +44,14 @@ fn batch(pairs: usize, (width, height): (usize, usize), device: &Device) -> Pair
             camera,
             source_from_target: Pose::exp(&Tangent::new(0.01, 0.0, 0.9, 0.0, 0.01, 0.0)),
             error: Tangent::new(0.04, 0.008, 0.009, 7e-4, 6e-4, 8e-4),
+            right: None,
         })
         .collect();
     PairBatch::new(&samples, device)
 }
 
 fn architecture((width, height): (usize, usize)) -> Architecture {
-    Architecture { width, height, input: InputBasis::Residual, dropout: 0.5, log_variance_floor: None }
+    Architecture { input: InputBasis::Residual, ..Architecture::paper(width, height) }
 }
 
 fn finish<const D: usize>(tensor: Tensor<D>) {
@@ -101,6 +102,7 @@ fn load(criterion: &mut Criterion) {
         target_depth: ground_plane_depth(&camera, 1.65, None, 80.0),
         camera,
         source_from_target: Pose::exp(&Tangent::new(0.01, 0.0, 0.9, 0.0, 0.01, 0.0)),
+        right: None,
     };
     let mut group = criterion.benchmark_group("load and predict first");
     group.sample_size(10);

@@ -1,6 +1,6 @@
 //! The one TOML file that describes an experiment, with its defaults.
 //!
-//! Order of precedence: defaults < file < `RELCOV_DATA_ROOT` (for recorded data, not for
+//! Order of precedence: defaults < the file that `extends` names < file < `RELCOV_DATA_ROOT` (for recorded data, not for
 //! `data.synthetic`) < `--set key=value`. Relative paths
 //! resolve against the file that holds them (those of `--set` and the environment against the
 //! current folder). Unknown keys are errors.
@@ -15,7 +15,8 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 
 use crate::geometry::ErrorFrame;
-use crate::model::InputBasis;
+use crate::model::{ImagePair, InputBasis, PoseInput};
+use crate::network::Head;
 use crate::synthetic::SyntheticSettings;
 
 pub use training::{Schedule, StopConfig, TrainingConfig, WatchedSplit};
@@ -115,7 +116,7 @@ pub enum TruthConfig {
 pub struct SystemConfig {
     /// Its name in tables.
     pub name: String,
-    /// Its exact share of each mini-batch (the paper: 0.75 and 0.25).
+    /// Its exact share of each mini-batch (the paper: 0.75 and 0.25). 0: evaluated, never learned from.
     pub share: f64,
     /// Where its measurements come from.
     #[serde(flatten)]
@@ -234,8 +235,19 @@ pub struct ModelConfig {
     pub width: usize,
     /// Input height, px. Default: 160.
     pub height: usize,
+    /// `warped` (the paper) or `raw` (the source image as it is, as in the paper's references 5 and 7: the
+    /// network does not see the measured pose). Default: warped.
+    pub pair: ImagePair,
     /// `pair` (the paper) or `residual` (learns faster). Default: residual.
     pub input: InputBasis,
+    /// Whether each warped image comes with a channel that says where it is valid. Default: false (the paper).
+    pub validity_mask: bool,
+    /// Whether the right camera's images are seen too (the paper's footnote 1). Default: false (the paper).
+    pub stereo: bool,
+    /// `none` (the paper) or `mlp`: the measured pose as a 6-vector beside the images. Default: none.
+    pub pose: PoseInput,
+    /// `diagonal` (the paper) or `full` (`L D Lᵀ`, 21 values). Default: diagonal.
+    pub head: Head,
     /// Dropout after each convolution. Default: 0.5 (paper Section V-A).
     pub dropout: f64,
     /// Floor under predicted log-variances. Default: 12 nats below the mean.
@@ -247,7 +259,12 @@ impl Default for ModelConfig {
         Self {
             width: 512,
             height: 160,
+            pair: ImagePair::default(),
             input: InputBasis::default(),
+            validity_mask: false,
+            stereo: false,
+            pose: PoseInput::default(),
+            head: Head::default(),
             dropout: 0.5,
             min_log_variance: MinLogVariance::BelowMean(12.0),
         }

@@ -42,7 +42,7 @@ pub mod warp;
 
 pub use error::{Error, Result};
 pub use geometry::Covariance6;
-pub use predict::{Measurement, Model};
+pub use predict::{Measurement, Model, RightView};
 
 #[doc(hidden)]
 pub mod cli;

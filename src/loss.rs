@@ -4,7 +4,7 @@ use burn::tensor::Tensor;
 use burn::tensor::activation::softplus;
 
 /// Log-variances count in the loss within ± this: `exp` of them is a normal f32 number.
-pub(crate) const LOG_VARIANCE_LIMIT: f32 = 87.0;
+const LOG_VARIANCE_LIMIT: f32 = 87.0;
 /// Standardised errors count in the loss up to this: the sum of six squares is a finite f32 number.
 const STANDARDISED_ERROR_LIMIT: f32 = 1e18;
 

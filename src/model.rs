@@ -1,31 +1,21 @@
 //! The proposed method on one screen (paper Section IV): warp by the measured pose, predict
 //! log-variances, score them by the likelihood of the errors.
 
+mod input;
+
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use burn::train::{InferenceStep, TrainOutput, TrainStep};
 use serde::{Deserialize, Serialize};
 
 use crate::data::PairBatch;
+use crate::error::{Error, Result};
+use crate::geometry::Covariance6;
 use crate::loss::{floored, gaussian_loss};
-use crate::network::{CovarianceNetwork, CovarianceNetworkConfig};
-use crate::warp::{Warp, Warped};
+use crate::network::{CovarianceNetwork, CovarianceNetworkConfig, Head};
+use crate::warp::Warp;
 
-/// Images lie in 0…1; the network sees them around 0.
-const IMAGE_MEAN: f32 = 0.5;
-/// Scale of the residual image, which brings it to the contrast of an image.
-const RESIDUAL_GAIN: f32 = 4.0;
-
-/// What the network sees of target and warped image: the same information in two bases.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum InputBasis {
-    /// `(I_{i+1}, I^w_{i+1})`, the paper's.
-    Pair,
-    /// `(I_{i+1}, 4 (I^w_{i+1} − I_{i+1}))` on valid pixels: learns far faster.
-    #[default]
-    Residual,
-}
+pub use input::{ImagePair, InputBasis, PoseInput};
 
 /// Everything that fixes the shape of a [`CovarianceModel`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -35,80 +25,126 @@ pub struct Architecture {
     pub height: usize,
     /// Input width, px.
     pub width: usize,
+    /// Which source image stands beside the target's.
+    #[serde(default)]
+    pub pair: ImagePair,
     /// Basis of the network's input.
     pub input: InputBasis,
+    /// Whether each warped image comes with a channel that says where it is valid.
+    #[serde(default)]
+    pub validity_mask: bool,
+    /// Whether the right camera's images are seen too.
+    #[serde(default)]
+    pub stereo: bool,
+    /// Whether the measured pose is an input beside the images.
+    #[serde(default)]
+    pub pose: PoseInput,
+    /// Form of the predicted covariance.
+    #[serde(default)]
+    pub head: Head,
     /// Dropout probability after each convolution.
     pub dropout: f64,
     /// Floor under each log-variance, ln m² and ln rad²; `None` for the paper's unbounded outputs.
     pub log_variance_floor: Option<[f64; 6]>,
 }
 
-/// Warp layer, network and variance floor: images, depth and measured pose in, log-variances out.
+/// Warp layer, network and variance floor: images, depth and measured pose in, covariances out.
 #[derive(Module, Debug)]
 pub struct CovarianceModel {
     warp: Warp,
     network: CovarianceNetwork,
     #[module(skip)]
-    input: InputBasis,
+    architecture: Architecture,
+    /// Of the training set, m and rad: units of the full head.
     #[module(skip)]
-    log_variance_floor: Option<[f64; 6]>,
+    sigma: [f64; 6],
 }
 
 impl Architecture {
-    /// Builds the model; every first prediction is `initial_log_variance`.
+    /// The paper's model for images of this size: warped pair, diagonal covariance, dropout one half, no floor.
+    pub fn paper(width: usize, height: usize) -> Self {
+        Self {
+            height,
+            width,
+            pair: ImagePair::Warped,
+            input: InputBasis::Pair,
+            validity_mask: false,
+            stereo: false,
+            pose: PoseInput::None,
+            head: Head::Diagonal,
+            dropout: 0.5,
+            log_variance_floor: None,
+        }
+    }
+
+    /// Builds the model; every first prediction is `initial_log_variance` on the diagonal.
     pub fn init(&self, initial_log_variance: [f64; 6], device: &Device) -> CovarianceModel {
-        let network =
-            CovarianceNetworkConfig { channels: 6, height: self.height, width: self.width, dropout: self.dropout };
+        let network = CovarianceNetworkConfig {
+            channels: self.channels(),
+            pose: self.pose == PoseInput::Mlp,
+            head: self.head,
+            height: self.height,
+            width: self.width,
+            dropout: self.dropout,
+        };
         CovarianceModel {
             warp: Warp,
             network: network.init(initial_log_variance, device),
-            input: self.input,
-            log_variance_floor: self.log_variance_floor,
+            architecture: self.clone(),
+            sigma: initial_log_variance.map(|d| (0.5 * d).exp()),
         }
     }
 }
 
 impl CovarianceModel {
-    /// Predicts log-variances: `d = network(I_{i+1}, warp(I_i, ⁱT̂ᵢ₊₁))` (paper Fig. 2).
+    /// Predicts covariances: `d = network(I_{i+1}, warp(I_i, ⁱT̂ᵢ₊₁))` (paper Fig. 2).
     ///
     /// # Shapes
-    /// - returns: `[batch, 6]`, d; order ρ then φ, ln m² and ln rad², axes of the model's error frame
+    /// - returns: `[batch, 6]`, d; order ρ then φ, ln m² and ln rad², axes of the model's error frame; or
+    ///   `[batch, 21]` as [`Head::Full`] says
     pub fn forward(&self, pairs: &PairBatch) -> Tensor<2> {
-        let warped = self.warp.forward(
-            pairs.source_image.clone(),
-            pairs.target_depth.clone(),
-            pairs.intrinsics.clone(),
-            pairs.source_from_target.clone(),
-        );
-        let log_variance = self.network.forward(self.network_input(pairs.target_image.clone(), warped));
-        match self.log_variance_floor {
-            Some(floor) => {
-                let floor = Tensor::<1>::from_floats(floor.map(|d| d as f32), &log_variance.device());
-                floored(log_variance, floor.unsqueeze())
-            }
-            None => log_variance,
+        let images = self.architecture.network_input(&self.warp, pairs);
+        let outputs = self.network.forward(images, self.architecture.pose_input(pairs));
+        let Some(floor) = self.architecture.log_variance_floor else { return outputs };
+        let floor = Tensor::<1>::from_floats(floor.map(|d| d as f32), &outputs.device());
+        let [batch, values] = outputs.dims();
+        let log_variance = floored(outputs.clone().slice([0..batch, 0..6]), floor.unsqueeze());
+        match values {
+            6 => log_variance,
+            values => Tensor::cat(vec![log_variance, outputs.slice([0..batch, 6..values])], 1),
         }
     }
 
-    /// Log-variances and the loss of each pair (paper Eq. 7), `[batch, 6]` and `[batch]`.
+    /// Outputs as [`CovarianceModel::forward`] gives them, and the loss of each pair (paper Eq. 7), `[batch]`.
     pub fn forward_loss(&self, pairs: &PairBatch) -> (Tensor<2>, Tensor<1>) {
-        let log_variance = self.forward(pairs);
-        let loss = gaussian_loss(log_variance.clone(), pairs.error.clone());
-        (log_variance, loss)
+        let outputs = self.forward(pairs);
+        let error = self.architecture.head.decorrelate(&outputs, pairs.error.clone(), &self.sigma);
+        let batch = pairs.len();
+        let loss = gaussian_loss(outputs.clone().slice([0..batch, 0..6]), error);
+        (outputs, loss)
+    }
+
+    /// The covariances that rows of outputs stand for, m² and rad².
+    ///
+    /// # Errors
+    /// An output is not finite, or a variance is too small or too large for a number: the weights are not usable.
+    pub fn covariances(&self, outputs: &[f64]) -> Result<Vec<Covariance6>> {
+        let head = self.architecture.head;
+        let covariance = |row: &[f64]| {
+            let covariance = head.covariance(row, &self.sigma);
+            if covariance.is_positive() {
+                return Ok(covariance);
+            }
+            let variances: Vec<String> = covariance.variance().iter().map(|value| format!("{value:.3e}")).collect();
+            let found = variances.join(", ");
+            Err(Error::Data(format!("the model predicts the variances {found}; its weights are not usable")))
+        };
+        outputs.chunks_exact(head.outputs()).map(covariance).collect()
     }
 
     /// The network behind the warp.
     pub fn network(&self) -> &CovarianceNetwork {
         &self.network
-    }
-
-    fn network_input(&self, target_image: Tensor<4>, warped: Warped) -> Tensor<4> {
-        let target = target_image.clone() - IMAGE_MEAN;
-        let second = match self.input {
-            InputBasis::Pair => warped.image - IMAGE_MEAN,
-            InputBasis::Residual => (warped.image - target_image) * warped.valid_mask * RESIDUAL_GAIN,
-        };
-        Tensor::cat(vec![target, second], 1)
     }
 }
 
@@ -124,8 +160,8 @@ pub struct MicroBatch {
 /// What a step reports, for each pair of its batch.
 #[derive(Clone, Debug)]
 pub struct PairOutputs {
-    /// `[batch, 6]`, d.
-    pub log_variance: Tensor<2>,
+    /// As [`CovarianceModel::forward`] gives them.
+    pub outputs: Tensor<2>,
     /// `[batch]`, Eq. 7.
     pub loss: Tensor<1>,
 }
@@ -141,9 +177,9 @@ impl TrainStep for CovarianceModel {
     type Output = PairOutputs;
 
     fn step(&self, batch: MicroBatch) -> TrainOutput<PairOutputs> {
-        let (log_variance, loss) = self.forward_loss(&batch.pairs);
+        let (outputs, loss) = self.forward_loss(&batch.pairs);
         let gradients = (loss.clone().sum() * batch.weight).backward();
-        TrainOutput::new(self, gradients, PairOutputs { log_variance: log_variance.inner(), loss: loss.inner() })
+        TrainOutput::new(self, gradients, PairOutputs { outputs: outputs.inner(), loss: loss.inner() })
     }
 }
 
@@ -152,7 +188,7 @@ impl InferenceStep for CovarianceModel {
     type Output = PairOutputs;
 
     fn step(&self, pairs: PairBatch) -> PairOutputs {
-        let (log_variance, loss) = self.forward_loss(&pairs);
-        PairOutputs { log_variance, loss }
+        let (outputs, loss) = self.forward_loss(&pairs);
+        PairOutputs { outputs, loss }
     }
 }

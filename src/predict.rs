@@ -4,9 +4,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use burn::tensor::Device;
-use nalgebra::Vector6;
 
-use crate::data::{PairBatch, PairSample, RgbImage};
+use crate::data::{PairBatch, PairSample, RgbImage, RightImages};
 use crate::depth::DepthMap;
 use crate::error::{Error, Result};
 use crate::evaluation::read_values;
@@ -29,6 +28,7 @@ use crate::training::RunFolder;
 ///     target_depth: depth::ground_plane_depth(&camera, 1.65, None, 80.0),
 ///     camera,
 ///     source_from_target: geometry::Pose::exp(&geometry::Tangent::new(0.0, 0.0, 0.9, 0.0, 0.0, 0.0)),
+///     right: None,
 /// })?;
 /// let sigma = covariance.std_devs(); // x, y, z (m), roll, pitch, yaw (rad), axes of model.error_frame()
 /// # let _ = sigma;
@@ -55,6 +55,19 @@ pub struct Measurement {
     pub camera: Pinhole,
     /// Measured `ⁱT̂ᵢ₊₁` in axes of this camera (x right, y down, z forward), m.
     pub source_from_target: Pose,
+    /// What the right camera saw, for a model that looks at it ([`Architecture::stereo`]).
+    pub right: Option<RightView>,
+}
+
+/// The right camera's part of a [`Measurement`].
+#[derive(Clone, Debug)]
+pub struct RightView {
+    /// Right image of time i, the size of the left one.
+    pub source_image: RgbImage,
+    /// Right image of time i + 1, the same size.
+    pub target_image: RgbImage,
+    /// Points of the left camera into the right one, m; both have the same intrinsics.
+    pub right_from_left: Pose,
 }
 
 impl Model {
@@ -79,12 +92,11 @@ impl Model {
     /// ```
     /// use relcov::data::RgbImage;
     /// use relcov::geometry::{ErrorFrame, Pinhole, Pose};
-    /// use relcov::model::{Architecture, InputBasis};
+    /// use relcov::model::Architecture;
     /// use relcov::{Measurement, Model, depth, device};
     ///
     /// # fn main() -> relcov::Result<()> {
-    /// let architecture = Architecture { width: 32, height: 16, input: InputBasis::Pair, dropout: 0.5, log_variance_floor: None };
-    /// let model = Model::untrained(architecture, ErrorFrame::Vehicle, [-4.0; 6], &device::open_device("flex")?);
+    /// let model = Model::untrained(Architecture::paper(32, 16), ErrorFrame::Vehicle, [-4.0; 6], &device::open_device("flex")?);
     ///
     /// let camera = Pinhole { fx: 40.0, fy: 40.0, cx: 31.5, cy: 15.5, width: 64, height: 32 };
     /// let grey = RgbImage { width: 64, height: 32, bytes: vec![128; 3 * 64 * 32] };
@@ -94,6 +106,7 @@ impl Model {
     ///     target_depth: depth::ground_plane_depth(&camera, 1.65, None, 80.0),
     ///     camera,
     ///     source_from_target: Pose::identity(),
+    ///     right: None,
     /// })?;
     /// assert!((covariance.variance()[0].ln() + 4.0).abs() < 1e-5);
     /// # Ok(())
@@ -122,31 +135,30 @@ impl Model {
     /// are not finite, or the model's output is not.
     pub fn predict(&self, measurement: &Measurement) -> Result<Covariance6> {
         let sample = self.prepare(measurement)?;
-        let log_variance = self.network.forward(&PairBatch::new(&[sample], &self.device));
-        let log_variance = Vector6::from_vec(read_values(log_variance)?);
-        if log_variance.iter().any(|d| !d.is_finite()) {
-            return Err(Error::Data(format!(
-                "the model predicts {:?}; its weights are not usable",
-                log_variance.as_slice()
-            )));
-        }
-        Ok(Covariance6::from_log_variances(&log_variance))
+        let outputs = read_values(self.network.forward(&PairBatch::new(&[sample], &self.device)))?;
+        Ok(self.network.covariances(&outputs)?.swap_remove(0))
     }
 
     fn prepare(&self, measurement: &Measurement) -> Result<PairSample> {
-        let Measurement { source_image, target_image, target_depth, camera, source_from_target } = measurement;
-        for (name, width, height) in [
-            ("source image", source_image.width, source_image.height),
-            ("target image", target_image.width, target_image.height),
-        ] {
+        let Measurement { source_image, target_image, target_depth, camera, source_from_target, right } = measurement;
+        let right = right.as_ref().filter(|_| self.architecture.stereo);
+        if self.architecture.stereo && right.is_none() {
+            return Err(Error::Data(
+                "this model looks at the right camera too; give the measurement's `right`".to_owned(),
+            ));
+        }
+        let mut images = vec![("source image", source_image), ("target image", target_image)];
+        if let Some(right) = right {
+            images.extend([("right source image", &right.source_image), ("right target image", &right.target_image)]);
+        }
+        for (name, image) in images {
+            let (width, height) = (image.width, image.height);
             if (width, height) != (camera.width, camera.height) {
                 return Err(Error::Data(format!(
                     "the {name} has {width}x{height} pixels and the camera {}x{}; give intrinsics of the image's size",
                     camera.width, camera.height
                 )));
             }
-        }
-        for (name, image) in [("source image", source_image), ("target image", target_image)] {
             if image.bytes.len() != 3 * image.width * image.height {
                 let found = image.bytes.len();
                 return Err(Error::Data(format!("the {name} has {found} bytes; expected 3 for each of its pixels")));
@@ -163,13 +175,19 @@ impl Model {
             ));
         }
         let (width, height) = (self.architecture.width, self.architecture.height);
+        let resized = |image: &RgbImage| Arc::new(image.clone().resized(width, height));
         Ok(PairSample {
-            source_image: Arc::new(source_image.clone().resized(width, height)),
-            target_image: Arc::new(target_image.clone().resized(width, height)),
+            source_image: resized(source_image),
+            target_image: resized(target_image),
             target_depth: Arc::new(target_depth.resized(width, height)),
             camera: camera.resized(width, height),
             source_from_target: *source_from_target,
             error: Tangent::zeros(),
+            right: right.map(|right| RightImages {
+                source_image: resized(&right.source_image),
+                target_image: resized(&right.target_image),
+                right_from_left: right.right_from_left,
+            }),
         })
     }
 }

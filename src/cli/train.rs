@@ -146,14 +146,11 @@ fn observer(quiet: bool) -> impl FnMut(Event) {
         }
         Event::Epoch { row, best } => {
             progress = None;
-            let join = |losses: Vec<String>| losses.join(" / ");
-            let training = join(row.training_loss.iter().map(|loss| format!("{loss:.3}")).collect());
-            let evaluation = join(
-                row.evaluation_loss
-                    .iter()
-                    .map(|loss| loss.map_or("-".to_owned(), |loss| format!("{loss:.3}")))
-                    .collect(),
-            );
+            let join = |losses: &[Option<f64>]| {
+                let texts = losses.iter().map(|loss| loss.map_or("-".to_owned(), |loss| format!("{loss:.3}")));
+                texts.collect::<Vec<_>>().join(" / ")
+            };
+            let (training, evaluation) = (join(&row.training_loss), join(&row.evaluation_loss));
             let mark = if best { ", best so far" } else { "" };
             let floor = if row.at_floor > 0.0 {
                 format!(", {:.0} % at the floor", 100.0 * row.at_floor)

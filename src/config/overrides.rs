@@ -1,13 +1,20 @@
-//! Layers a configuration: file, environment, `--set key=value`; and anchors its relative paths.
+//! Layers a configuration: the file it extends, file, environment, `--set key=value`; and anchors its
+//! relative paths.
 
 use std::path::{Path, PathBuf};
 
 use toml::{Table, Value};
 
 use crate::error::{Error, Place, Result};
+use crate::files::read_text;
 
 /// Tables whose other keys depend on `source`, and the source they have when they name none.
 const DEFAULT_SOURCES: [(&str, &str); 2] = [("depth", "ground_plane"), ("truth", "oxts")];
+
+/// The key of the file whose settings a configuration takes over.
+const EXTENDS: &str = "extends";
+/// Files that may extend one another in a row; more are a circle.
+const MOST_LAYERS: usize = 8;
 
 /// Keys whose values are paths.
 const PATH_KEYS: [&str; 2] = ["data.root", "checkpoints"];
@@ -20,12 +27,7 @@ pub(super) fn merge(
     data_root: Option<&Path>,
     overrides: &[String],
 ) -> Result<Table> {
-    let mut table: Table = text.parse().map_err(|error: toml::de::Error| {
-        Error::malformed(path, Place::Whole, error.to_string().trim_end().to_owned(), "TOML")
-    })?;
-    for key in PATH_KEYS {
-        anchor(&mut table, key, folder);
-    }
+    let mut table = read_layers(text, path, folder, MOST_LAYERS)?;
     // A synthetic data set is made where the configuration says, not among recorded ones.
     let recorded = !table.get("data").and_then(Value::as_table).is_some_and(|data| data.contains_key("synthetic"))
         && !overrides.iter().any(|text| text.trim_start().starts_with("data.synthetic"));
@@ -52,6 +54,46 @@ pub(super) fn merge(
     // Once more for tables that an override has begun.
     name_default_sources(&mut table);
     Ok(table)
+}
+
+/// A file's table over that of the file it extends; paths absolute.
+fn read_layers(text: &str, path: &Path, folder: &Path, layers_left: usize) -> Result<Table> {
+    let mut table: Table = text.parse().map_err(|error: toml::de::Error| {
+        Error::malformed(path, Place::Whole, error.to_string().trim_end().to_owned(), "TOML")
+    })?;
+    for key in PATH_KEYS {
+        anchor(&mut table, key, folder);
+    }
+    let Some(base) = table.remove(EXTENDS) else { return Ok(table) };
+    let field = || Place::Field(EXTENDS.to_owned());
+    let Value::String(base) = base else {
+        return Err(Error::malformed(path, field(), base.to_string(), "the path of a configuration"));
+    };
+    if layers_left == 0 {
+        return Err(Error::malformed(path, field(), base, "files that do not extend one another in a circle"));
+    }
+    let base = folder.join(base);
+    let text = read_text(&base)?;
+    let mut layered = read_layers(&text, &base, base.parent().unwrap_or(Path::new("")), layers_left - 1)?;
+    name_default_sources(&mut layered);
+    lay_over(&mut layered, table);
+    Ok(layered)
+}
+
+/// Tables are merged key by key, but one with another source replaces the whole; lists and values are replaced.
+fn lay_over(base: &mut Table, upper: Table) {
+    for (key, value) in upper {
+        match (base.get_mut(&key), value) {
+            (Some(Value::Table(below)), Value::Table(above))
+                if above.get("source").is_none_or(|source| below.get("source") == Some(source)) =>
+            {
+                lay_over(below, above);
+            }
+            (_, value) => {
+                base.insert(key, value);
+            }
+        }
+    }
 }
 
 fn name_default_sources(table: &mut Table) {
@@ -153,6 +195,27 @@ mod tests {
         let table = merged(text, &["data.root=/elsewhere"]);
         assert_eq!(table["checkpoints"].as_str(), Some("/runs"));
         assert_eq!(table["data"]["root"].as_str(), Some("/elsewhere"));
+    }
+
+    #[test]
+    fn a_file_takes_over_what_it_extends_and_does_not_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let base = "name = \"base\"\nseed = 3\n[data]\nroot = \"kitti\"\n[model]\nwidth = 64\nheight = 32";
+        std::fs::create_dir(folder.path().join("below")).unwrap();
+        std::fs::write(folder.path().join("base.toml"), base).unwrap();
+        let text = "extends = \"../base.toml\"\nname = \"other\"\n[model]\nwidth = 96";
+        let load = |text: &str| {
+            merge(text, Path::new("other.toml"), &folder.path().join("below"), None, &["seed=4".to_owned()])
+        };
+        let table = load(text).unwrap();
+        assert_eq!((table["name"].as_str(), table["seed"].as_integer()), (Some("other"), Some(4)));
+        assert_eq!([&table["model"]["width"], &table["model"]["height"]].map(Value::as_integer), [Some(96), Some(32)]);
+        let root = folder.path().canonicalize().unwrap().join("kitti");
+        assert_eq!(table["data"]["root"].as_str(), root.to_str());
+
+        std::fs::write(folder.path().join("base.toml"), "extends = \"base.toml\"").unwrap();
+        let error = load(text).unwrap_err().to_string();
+        assert!(error.contains("in a circle"), "{error}");
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use super::{Config, DepthConfig, DriveConfig, MinLogVariance};
 use crate::error::{Error, Result};
+use crate::model::ImagePair;
 use crate::synthetic::{SyntheticSettings, drive_name};
 
 impl Config {
@@ -77,7 +78,8 @@ impl Config {
         })?;
         for (index, system) in self.systems.iter().enumerate() {
             let key = format!("systems.{index}.share");
-            require(system.share > 0.0 && system.share <= 1.0, &key, || format!("{} is not in (0, 1]", system.share))?;
+            require((0.0..=1.0).contains(&system.share), &key, || format!("{} is not in [0, 1]", system.share))?;
+            require(index > 0 || system.share > 0.0, &key, || "the first system must be learned from".to_owned())?;
             let twin = self.systems[..index].iter().any(|other| other.name == system.name);
             let key = format!("systems.{index}.name");
             require(!twin, &key, || format!("`{}` is used twice; tables tell systems apart by name", system.name))?;
@@ -88,14 +90,15 @@ impl Config {
         let total: f64 = self.systems.iter().map(|system| system.share).sum();
         require((total - 1.0).abs() < 1e-9, "systems", || format!("the shares sum to {total}, not 1"))?;
         let batch = self.training.batch;
-        for (index, system) in self.systems.iter().enumerate() {
+        let learned = || self.systems.iter().filter(|system| system.share > 0.0);
+        for (index, system) in self.systems.iter().enumerate().filter(|(_, system)| system.share > 0.0) {
             let pairs = system.share * batch as f64;
             require(
                 (pairs - pairs.round()).abs() < 1e-6 && pairs.round() >= 1.0,
                 &format!("systems.{index}.share"),
                 || {
                     let fits = |batch: &usize| {
-                        self.systems.iter().all(|system| {
+                        learned().all(|system| {
                             let pairs = system.share * *batch as f64;
                             (pairs - pairs.round()).abs() < 1e-6 && pairs.round() >= 1.0
                         })
@@ -138,6 +141,10 @@ impl Config {
         for (key, size) in [("model.width", self.model.width), ("model.height", self.model.height)] {
             require((16..=8192).contains(&size), key, || format!("{size} is not in [16, 8192] pixels"))?;
         }
+        let masked = !(self.model.validity_mask && self.model.pair == ImagePair::Raw);
+        require(masked, "model.validity_mask", || {
+            "a raw pair has no validity; set model.pair = \"warped\"".to_owned()
+        })?;
         let dropout = self.model.dropout;
         require((0.0..1.0).contains(&dropout), "model.dropout", || format!("{dropout} is not in [0, 1)"))?;
         let key = "model.min_log_variance";

@@ -26,6 +26,8 @@ pub struct Calibration {
     pub camera2_from_velodyne: Pose,
     /// Vehicle (IMU) axes into camera 2.
     pub camera2_from_vehicle: Pose,
+    /// The left colour camera's points into the right one's; `None` without a camera 3 of the same intrinsics.
+    pub camera3_from_camera2: Option<Pose>,
 }
 
 impl Calibration {
@@ -38,30 +40,21 @@ impl Calibration {
         let velodyne = KeyedLines::load(date_folder.join("calib_velo_to_cam.txt"))?;
         let imu = KeyedLines::load(date_folder.join("calib_imu_to_velo.txt"))?;
 
-        let size: [f64; 2] = cameras.numbers("S_rect_02")?;
-        let projection: [f64; 12] = cameras.numbers("P_rect_02")?;
-        let [fx, skew, cx, px, _, fy, cy, py, _, _, _, pz] = projection;
-        let usable = fx > 0.0 && fy > 0.0 && skew == 0.0 && size.iter().all(|&pixels| pixels >= 2.0);
-        if !usable {
-            return Err(Error::malformed(
-                &cameras.path,
-                Place::Field("P_rect_02".to_owned()),
-                format!("fx {fx}, fy {fy}, skew {skew}, size {size:?}"),
-                "a pinhole camera without skew",
-            ));
-        }
-        // P = K [I | t]
-        let offset = Vector3::new((px - cx * pz) / fx, (py - cy * pz) / fy, pz);
-        let camera2_from_camera0 = Pose { translation: offset, ..Pose::identity() };
+        let (camera2, camera2_from_camera0) = cameras.camera(2)?;
+        let right = cameras.lines.contains_key("P_rect_03").then(|| cameras.camera(3)).transpose()?;
+        let camera3_from_camera2 = right
+            .filter(|(camera3, _)| *camera3 == camera2)
+            .map(|(_, camera3_from_camera0)| camera3_from_camera0 * camera2_from_camera0.inverse());
         let rectification = cameras.rotation("R_rect_00", Vector3::zeros())?;
         let camera_from_velodyne = velodyne.rotation("R", Vector3::from(velodyne.numbers::<3>("T")?))?;
         let velodyne_from_imu = imu.rotation("R", Vector3::from(imu.numbers::<3>("T")?))?;
         let camera2_from_velodyne = camera2_from_camera0 * rectification * camera_from_velodyne;
         Ok(Self {
-            camera2: Pinhole { fx, fy, cx, cy, width: size[0] as usize, height: size[1] as usize },
+            camera2,
             camera2_from_camera0,
             camera2_from_velodyne,
             camera2_from_vehicle: camera2_from_velodyne * velodyne_from_imu,
+            camera3_from_camera2,
         })
     }
 
@@ -111,6 +104,26 @@ impl KeyedLines {
         numbers.try_into().map_err(|_| {
             Error::malformed(&self.path, place, format!("`{key}` with {count} numbers"), format!("{N} numbers"))
         })
+    }
+
+    /// A rectified camera and where camera 0 is to it.
+    fn camera(&self, number: usize) -> Result<(Pinhole, Pose)> {
+        let size: [f64; 2] = self.numbers(&format!("S_rect_0{number}"))?;
+        let key = format!("P_rect_0{number}");
+        let [fx, skew, cx, px, _, fy, cy, py, _, _, _, pz] = self.numbers::<12>(&key)?;
+        let usable = fx > 0.0 && fy > 0.0 && skew == 0.0 && size.iter().all(|&pixels| pixels >= 2.0);
+        if !usable {
+            return Err(Error::malformed(
+                &self.path,
+                Place::Field(key),
+                format!("fx {fx}, fy {fy}, skew {skew}, size {size:?}"),
+                "a pinhole camera without skew",
+            ));
+        }
+        // P = K [I | t]
+        let offset = Vector3::new((px - cx * pz) / fx, (py - cy * pz) / fy, pz);
+        let camera = Pinhole { fx, fy, cx, cy, width: size[0] as usize, height: size[1] as usize };
+        Ok((camera, Pose { translation: offset, ..Pose::identity() }))
     }
 
     fn rotation(&self, key: &str, translation: Vector3<f64>) -> Result<Pose> {

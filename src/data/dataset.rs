@@ -271,9 +271,14 @@ impl Split {
         Self { name, systems: ranges, pairs }
     }
 
+    /// The pairs of one system.
+    pub fn pairs_of(&self, system: usize) -> &[Pair] {
+        &self.pairs[self.systems[system].clone()]
+    }
+
     /// Mean of e² over one system's pairs, m² and rad².
     pub fn mean_squared_error(&self, system: usize) -> Vector6<f64> {
-        let pairs = &self.pairs[self.systems[system].clone()];
+        let pairs = self.pairs_of(system);
         let sum: Vector6<f64> = pairs.iter().map(|pair| pair.error.component_mul(&pair.error)).sum();
         sum / pairs.len().max(1) as f64
     }

@@ -15,11 +15,11 @@ mod pairing;
 mod reader;
 
 pub use self::image::{RgbImage, read_image};
-pub use batch::{PairBatch, PairNumbers};
+pub use batch::{PairBatch, PairNumbers, RightBatch};
 pub use calibration::Calibration;
 pub use dataset::{Coverage, Dataset, Pair, PairId, PairScope, Split, SplitName};
 pub use drive::Drive;
 pub use loader::{BatchLoader, Choice, LoadedBatch};
 pub(crate) use oxts::EARTH_RADIUS_M;
 pub use oxts::{OxtsPacket, world_from_vehicle};
-pub use reader::{BadFrame, PairReader, PairSample};
+pub use reader::{BadFrame, PairReader, PairSample, RightImages};

@@ -41,8 +41,10 @@ impl<'a> Pairing<'a> {
         let (true_poses, systems) = &self.sources[index];
         let root = &self.config.data.root;
         let wanted_frame = |frame: usize| wanted.frames.is_none_or(|[first, end]| (first..end).contains(&frame));
+        let cameras =
+            if self.config.model.stereo { vec![&drive.images, &drive.right_images] } else { vec![&drive.images] };
         let has_images = |&(source, target): &(usize, usize)| {
-            drive.images.contains_key(&source) && drive.images.contains_key(&target)
+            cameras.iter().all(|images| images.contains_key(&source) && images.contains_key(&target))
         };
         let has_depth = |&(_, target): &(usize, usize)| has_depth(&self.config.depth, drive, target, root);
 
@@ -132,6 +134,17 @@ impl<'a> Pairing<'a> {
                 drive.problems.len(),
                 drive.problems[0]
             )));
+        }
+        if self.config.model.stereo
+            && self.scope == PairScope::Images
+            && drive.calibration.camera3_from_camera2.is_none()
+        {
+            return Err(Error::config(
+                "model.stereo",
+                format!(
+                    "{name} has no right camera: its calib_cam_to_cam.txt needs S_rect_03 and P_rect_03 with the intrinsics of P_rect_02"
+                ),
+            ));
         }
         let true_poses = load_true_poses(&self.config.truth, &drive, root)?;
         let systems = self

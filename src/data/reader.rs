@@ -33,6 +33,19 @@ pub struct PairSample {
     pub source_from_target: Pose,
     /// e, m and rad; zero where it is not known.
     pub error: Tangent,
+    /// What the right camera saw, for models that look at it.
+    pub right: Option<RightImages>,
+}
+
+/// The right camera's part of a pair.
+#[derive(Clone, Debug)]
+pub struct RightImages {
+    /// Of time i, at network size.
+    pub source_image: Arc<RgbImage>,
+    /// Of time i + 1, at network size.
+    pub target_image: Arc<RgbImage>,
+    /// Points of the left camera into the right one, m; both have the same intrinsics.
+    pub right_from_left: Pose,
 }
 
 /// A frame that could not be read.
@@ -52,6 +65,7 @@ pub struct PairReader {
     drives: Vec<Drive>,
     cameras: Vec<Pinhole>,
     depth: DepthConfig,
+    stereo: bool,
     frames: Cache<FrameKey, Frame, FrameWeighter>,
     bad_frames: Mutex<BTreeMap<FrameKey, String>>,
     max_bad_frames: f64,
@@ -62,6 +76,7 @@ pub struct PairReader {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 enum FrameKey {
     Image(usize, usize),
+    RightImage(usize, usize),
     Depth(usize, usize),
 }
 
@@ -98,6 +113,7 @@ impl PairReader {
             cameras: dataset.drives.iter().map(|drive| drive.calibration.camera2.resized(width, height)).collect(),
             drives: dataset.drives.clone(),
             depth: config.depth.clone(),
+            stereo: config.model.stereo,
             frames: Cache::with_weighter((cache_bytes / typical_frame) as usize + 1, cache_bytes, FrameWeighter),
             bad_frames: Mutex::default(),
             max_bad_frames: max_bad_fraction * frames.len() as f64,
@@ -105,9 +121,10 @@ impl PairReader {
         }
     }
 
-    /// Memory that a pair takes in a batch: two colour images and a depth map of 32-bit floats.
+    /// Memory that a pair takes in a batch: its colour images and a depth map of 32-bit floats.
     pub fn pair_bytes(&self) -> usize {
-        self.cameras.first().map_or(0, |camera| (3 + 3 + 1) * size_of::<f32>() * camera.width * camera.height)
+        let planes = if self.stereo { 4 * 3 + 1 } else { 2 * 3 + 1 };
+        self.cameras.first().map_or(0, |camera| planes * size_of::<f32>() * camera.width * camera.height)
     }
 
     /// Reads a pair, or `None` when one of its frames is bad.
@@ -118,16 +135,25 @@ impl PairReader {
         let PairId { drive, source, target } = pair.id;
         let (source_key, target_key) = (FrameKey::Image(drive, source), FrameKey::Image(drive, target));
         let depth_key = FrameKey::Depth(drive, target);
-        if [source_key, target_key, depth_key].iter().any(|key| self.bad_frames_lock().contains_key(key)) {
+        let right_keys = [source, target].map(|frame| FrameKey::RightImage(drive, frame));
+        let mut keys = [source_key, target_key, depth_key].into_iter().chain(right_keys);
+        if keys.any(|key| self.bad_frames_lock().contains_key(&key)) {
             return Ok(None);
         }
-        let source_image = self.unless_bad(source_key, self.image(drive, source))?;
-        let target_image = self.unless_bad(target_key, self.image(drive, target))?;
+        let source_image = self.unless_bad(source_key, self.image(source_key))?;
+        let target_image = self.unless_bad(target_key, self.image(target_key))?;
         let target_depth = self.unless_bad(depth_key, self.target_depth(drive, target))?;
         let (Some(source_image), Some(target_image), Some(target_depth)) = (source_image, target_image, target_depth)
         else {
             return Ok(None);
         };
+        let mut right = None;
+        if self.stereo {
+            let [source_image, target_image] = right_keys.map(|key| self.unless_bad(key, self.image(key)));
+            let (Some(source_image), Some(target_image)) = (source_image?, target_image?) else { return Ok(None) };
+            let right_from_left = self.drives[drive].calibration.camera3_from_camera2.expect("checked with the pairs");
+            right = Some(RightImages { source_image, target_image, right_from_left });
+        }
         Ok(Some(PairSample {
             source_image,
             target_image,
@@ -135,24 +161,30 @@ impl PairReader {
             camera: self.cameras[drive],
             source_from_target: pair.source_from_target,
             error: pair.error,
+            right,
         }))
     }
 
     /// The frames that could not be read so far.
     pub fn bad_frames(&self) -> Vec<BadFrame> {
         let bad_frame = |(key, problem): (&FrameKey, &String)| {
-            let (FrameKey::Image(drive, frame) | FrameKey::Depth(drive, frame)) = *key;
+            let (FrameKey::Image(drive, frame) | FrameKey::RightImage(drive, frame) | FrameKey::Depth(drive, frame)) =
+                *key;
             BadFrame { drive: self.drives[drive].name.clone(), frame, problem: problem.clone() }
         };
         self.bad_frames_lock().iter().map(bad_frame).collect()
     }
 
-    fn image(&self, drive: usize, frame: usize) -> Result<Arc<RgbImage>> {
-        let key = FrameKey::Image(drive, frame);
+    fn image(&self, key: FrameKey) -> Result<Arc<RgbImage>> {
         if let Some(Frame::Image(image)) = self.frames.get(&key) {
             return Ok(image);
         }
-        let path = &self.drives[drive].images[&frame];
+        let (drive, path) = match key {
+            FrameKey::RightImage(drive, frame) => (drive, &self.drives[drive].right_images[&frame]),
+            FrameKey::Image(drive, frame) | FrameKey::Depth(drive, frame) => {
+                (drive, &self.drives[drive].images[&frame])
+            }
+        };
         let image = read_image(path)?;
         let expected = &self.drives[drive].calibration.camera2;
         if (image.width, image.height) != (expected.width, expected.height) {
@@ -160,7 +192,7 @@ impl PairReader {
                 path,
                 Place::Whole,
                 format!("{}x{} pixels", image.width, image.height),
-                format!("{}x{} as in calib_cam_to_cam.txt (S_rect_02)", expected.width, expected.height),
+                format!("{}x{} as in calib_cam_to_cam.txt (S_rect)", expected.width, expected.height),
             ));
         }
         let camera = &self.cameras[drive];

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::ranks::{correlation, median};
-use crate::geometry::{Covariance6, Tangent};
+use crate::geometry::Covariance6;
 
 /// Squared Mahalanobis distance that a 6-dimensional Gaussian error stays below with probability 0.95.
 const CHI_SQUARED_6_95: f64 = 12.592;
@@ -82,15 +82,8 @@ pub fn evaluate(variances: &[[f64; 6]], errors: &[[f64; 6]]) -> Option<Metrics> 
 pub fn evaluate_full(covariances: &[Covariance6], errors: &[[f64; 6]]) -> Option<Metrics> {
     assert_eq!(covariances.len(), errors.len(), "one covariance for each error");
     let variances: Vec<[f64; 6]> = covariances.iter().map(|covariance| covariance.variance().into()).collect();
-    let joint: Option<Vec<(f64, f64)>> = covariances
-        .iter()
-        .zip(errors)
-        .map(|(covariance, &error)| {
-            let factor = covariance.matrix().cholesky()?;
-            let error = Tangent::from(error);
-            Some((error.dot(&factor.solve(&error)), 2.0 * factor.l_dirty().diagonal().map(f64::ln).sum()))
-        })
-        .collect();
+    let joint: Option<Vec<(f64, f64)>> =
+        covariances.iter().zip(errors).map(|(covariance, &error)| covariance.mahalanobis(&error.into())).collect();
     evaluate_joint(&variances, errors, joint.map(|joint| joint.into_iter().unzip()))
 }
 
@@ -149,6 +142,7 @@ mod tests {
     use approx::assert_relative_eq;
 
     use super::*;
+    use crate::geometry::Tangent;
 
     #[test]
     fn a_standard_normal_error_under_its_own_variance_is_calibrated() {

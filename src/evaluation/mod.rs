@@ -4,6 +4,7 @@
 //! Knows nothing of tables and pictures (`report`).
 
 mod baselines;
+mod log_linear;
 mod metrics;
 mod perturbation;
 mod prediction;
@@ -11,7 +12,8 @@ mod ranks;
 mod results;
 mod warped;
 
-pub use baselines::LogLinear;
+pub use baselines::Baselines;
+pub use log_linear::LogLinear;
 pub use metrics::{AgainstTrue, Metrics, evaluate, evaluate_full};
 pub use perturbation::{PerturbationResponse, perturbation_response};
 pub use prediction::{Prediction, mean_loss, predict_split, read_values, share_at_floor};

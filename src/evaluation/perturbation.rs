@@ -8,8 +8,8 @@ use serde::Serialize;
 
 use super::prediction::read_values;
 use super::ranks::spearman;
-use crate::data::{Dataset, Pair, PairBatch, PairReader, PairSample, Split};
-use crate::error::{Error, Result};
+use crate::data::{Dataset, Pair, PairBatch, PairReader, PairSample, RightImages, Split};
+use crate::error::Result;
 use crate::geometry::{ErrorFrame, Pose, Tangent};
 use crate::model::CovarianceModel;
 use crate::training::Manifest;
@@ -51,7 +51,7 @@ pub fn perturbation_response(
     device: &Device,
 ) -> Result<Option<PerturbationResponse>> {
     let first = manifest.systems.iter().find(|summary| summary.name == dataset.systems[0]);
-    let constant = first.map(|summary| summary.mean_squared_error);
+    let constant = first.map(|summary| summary.baselines.mean_squared_error);
     let Some(constant_variance) = constant.filter(|variance| variance.iter().all(|&value| value > 0.0)) else {
         return Ok(None);
     };
@@ -78,23 +78,23 @@ pub fn perturbation_response(
             .iter()
             .map(|perturbation| PairSample {
                 source_image: sample.target_image.clone(),
+                right: sample
+                    .right
+                    .as_ref()
+                    .map(|right| RightImages { source_image: right.target_image.clone(), ..right.clone() }),
                 source_from_target: Pose::exp(perturbation).conjugated_by(&camera_from_frame),
                 ..sample.clone()
             })
             .collect();
-        let log_variances = read_values(model.forward(&PairBatch::new(&samples, device)))?;
-        if let Some(bad) = log_variances.iter().find(|value| !value.is_finite()) {
-            return Err(Error::Training(format!(
-                "the model predicts {bad} for a perturbed pose; its weights are not usable"
-            )));
-        }
-        for (perturbation, log_variance) in perturbations.iter().zip(log_variances.chunks_exact(6)) {
-            let relative = |c: usize| (0.5 * log_variance[c]).exp() / constant_variance[c].sqrt();
+        let covariances = model.covariances(&read_values(model.forward(&PairBatch::new(&samples, device)))?)?;
+        for (perturbation, covariance) in perturbations.iter().zip(covariances) {
+            let variance = covariance.variance();
+            let relative = |c: usize| (variance[c] / constant_variance[c]).sqrt();
             sigmas.push((0..6).map(|c| relative(c).ln()).sum::<f64>() / 6.0);
             sizes.push((0..6).map(|c| perturbation[c] * perturbation[c] / constant_variance[c]).sum::<f64>().sqrt());
             for c in 0..6 {
                 components[c].push(perturbation[c].abs());
-                component_sigmas[c].push(log_variance[c]);
+                component_sigmas[c].push(variance[c]);
             }
         }
     }

@@ -9,13 +9,12 @@ use crate::config::TrainingConfig;
 use crate::data::{BatchLoader, Choice, Pair, PairId, PairReader, Split};
 use crate::error::{Error, Result};
 use crate::geometry::{Covariance6, Tangent};
-use crate::loss::LOG_VARIANCE_LIMIT;
 use crate::model::CovarianceModel;
 
 /// Outputs this close to their floor count as sitting on it, nats.
 const FLOOR_MARGIN: f64 = 0.1;
 
-/// A predicted diagonal covariance beside the error it should cover.
+/// A predicted covariance beside the error it should cover.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Prediction {
     /// Which frames.
@@ -24,8 +23,8 @@ pub struct Prediction {
     pub system: usize,
     /// e, order ρ then φ, m and rad.
     pub error: [f64; 6],
-    /// d, ln m² and ln rad².
-    pub log_variance: [f64; 6],
+    /// Predicted covariance, m² and rad².
+    pub covariance: Covariance6,
     /// `log T̂` in vehicle axes, m and rad.
     pub motion: Tangent,
     /// The covariance that the measurement states: the true one in simulated data.
@@ -34,28 +33,27 @@ pub struct Prediction {
 
 impl Prediction {
     /// A prediction for a pair.
-    pub fn new(pair: &Pair, log_variance: [f64; 6]) -> Self {
+    pub fn new(pair: &Pair, covariance: Covariance6) -> Self {
         Self {
             pair: pair.id,
             system: pair.system,
             error: pair.error.into(),
-            log_variance,
+            covariance,
             motion: pair.motion,
             stated_covariance: pair.stated_covariance,
         }
     }
 
-    /// The loss of this pair (paper Eq. 7): `sum(d) + eᵀ diag(exp(−d)) e`, d within the limits of
-    /// [`gaussian_loss`](crate::loss::gaussian_loss).
+    /// The loss of this pair (paper Eq. 7): `ln det R + eᵀR⁻¹e`.
     pub fn loss(&self) -> f64 {
-        let limit = f64::from(LOG_VARIANCE_LIMIT);
-        let terms = self.log_variance.iter().zip(self.error).map(|(d, e)| (d.clamp(-limit, limit), e));
-        terms.map(|(d, e)| d + e * e * (-d).exp()).sum()
+        let (distance, log_determinant) =
+            self.covariance.mahalanobis(&self.error.into()).expect("predictions are positive");
+        distance + log_determinant
     }
 
     /// Diagonal of R, m² and rad².
     pub fn variance(&self) -> [f64; 6] {
-        self.log_variance.map(f64::exp)
+        self.covariance.variance().into()
     }
 }
 
@@ -85,18 +83,11 @@ pub fn predict_split(
     for _ in 0..batches {
         let batch = loader.next_batch()?;
         let Some(numbers) = batch.numbers else { continue };
-        let values = read_values(InferenceStep::step(model, numbers.upload(device)).log_variance)?;
-        for (&pair, log_variance) in batch.pairs.iter().zip(values.chunks_exact(6)) {
-            let pair = &pairs[pair];
-            let log_variance: [f64; 6] = log_variance.try_into().expect("six outputs");
-            if log_variance.iter().any(|d| !d.is_finite()) {
-                return Err(Error::Training(format!(
-                    "the model predicts {log_variance:?} for frames {} and {}; its weights are not usable",
-                    pair.id.source, pair.id.target
-                )));
-            }
-            predictions.push(Prediction::new(pair, log_variance));
-        }
+        let outputs = read_values(InferenceStep::step(model, numbers.upload(device)).outputs)?;
+        let covariances = model.covariances(&outputs)?;
+        predictions.extend(
+            batch.pairs.iter().zip(covariances).map(|(&pair, covariance)| Prediction::new(&pairs[pair], covariance)),
+        );
         progress(predictions.len())?;
     }
     predictions.sort_by_key(|prediction| (prediction.system, prediction.pair));
@@ -119,13 +110,13 @@ pub fn read_values<const D: usize>(tensor: Tensor<D>) -> Result<Vec<f64>> {
     Ok(data.iter::<f64>().collect())
 }
 
-/// Share of log-variances that sit on their floor.
-pub fn share_at_floor<'a>(predictions: impl IntoIterator<Item = &'a Prediction>, floor: &[f64; 6]) -> f64 {
-    let outputs = predictions.into_iter().flat_map(|prediction| prediction.log_variance.iter().zip(floor));
+/// Share of log-variances d (of `R = L D(exp(d)) Lᵀ`) that sit on their floor.
+pub fn share_at_floor<'a>(covariances: impl IntoIterator<Item = &'a Covariance6>, floor: &[f64; 6]) -> f64 {
     let (mut total, mut low) = (0_usize, 0_usize);
-    for (d, floor) in outputs {
-        total += 1;
-        low += usize::from(*d < floor + FLOOR_MARGIN);
+    for covariance in covariances {
+        let pivots = covariance.pivots().expect("predictions are positive");
+        total += 6;
+        low += pivots.iter().zip(floor).filter(|(pivot, floor)| pivot.ln() < **floor + FLOOR_MARGIN).count();
     }
     low as f64 / total.max(1) as f64
 }

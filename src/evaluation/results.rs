@@ -176,12 +176,12 @@ fn evaluate_methods(
     };
 
     let (name, mut relcov) = diagonal(MethodName::Relcov, rows.iter().map(|row| row.variance()).collect());
-    relcov.at_floor = floor.map(|floor| share_at_floor(rows.iter().copied(), &floor));
+    relcov.at_floor = floor.map(|floor| share_at_floor(rows.iter().map(|row| &row.covariance), &floor));
     let mut methods = vec![(name, relcov), diagonal(MethodName::Zero, vec![[0.0; 6]; rows.len()])];
     if let Some(summary) = summary {
-        methods.push(diagonal(MethodName::Constant, vec![summary.mean_squared_error; rows.len()]));
+        methods.push(diagonal(MethodName::Constant, vec![summary.baselines.mean_squared_error; rows.len()]));
     }
-    if let Some(log_linear) = summary.and_then(|summary| summary.log_linear) {
+    if let Some(log_linear) = summary.and_then(|summary| summary.baselines.log_linear) {
         let variances = rows.iter().map(|row| log_linear.variance(&row.motion)).collect();
         methods.push(diagonal(MethodName::LogLinear, variances));
     }
@@ -273,7 +273,7 @@ mod tests {
             pair: PairId { drive: 0, source: frame, target: frame + 1 },
             system,
             error: [error; 6],
-            log_variance: [variance.ln(); 6],
+            covariance: Covariance6::from_variances(&Tangent::repeat(variance)),
             motion: Tangent::zeros(),
             stated_covariance: Some(Covariance6::from_std_devs(&Tangent::repeat(0.2))),
         }

@@ -52,6 +52,17 @@ impl Covariance6 {
         Self(Matrix6::from_diagonal(&log_variance.map(f64::exp)))
     }
 
+    /// `R = L D(exp(d)) Lᵀ`, L unit lower triangular.
+    pub fn from_factors(lower: &Matrix6<f64>, log_variance: &Vector6<f64>) -> Self {
+        let product = lower * Matrix6::from_diagonal(&log_variance.map(f64::exp)) * lower.transpose();
+        Self(0.5 * (product + product.transpose()))
+    }
+
+    /// A diagonal covariance from variances, m² and rad².
+    pub fn from_variances(variances: &Vector6<f64>) -> Self {
+        Self(Matrix6::from_diagonal(variances))
+    }
+
     /// A diagonal covariance from standard deviations, m and rad.
     pub fn from_std_devs(std_devs: &Vector6<f64>) -> Self {
         Self(Matrix6::from_diagonal(&std_devs.component_mul(std_devs)))
@@ -70,6 +81,35 @@ impl Covariance6 {
     /// Square roots of the diagonal, m and rad.
     pub fn std_devs(&self) -> Vector6<f64> {
         self.variance().map(f64::sqrt)
+    }
+
+    /// Whether every entry is a number and every direction has a variance above zero.
+    pub fn is_positive(&self) -> bool {
+        self.pivots().is_some()
+    }
+
+    /// Whether no two components are correlated.
+    pub fn is_diagonal(&self) -> bool {
+        (0..6).all(|row| (0..row).all(|column| self.0[(row, column)] == 0.0))
+    }
+
+    /// D of `R = L D Lᵀ`, L unit lower triangular: the variance of each component given those before it, m²
+    /// and rad². `None` for a matrix that is not positive definite.
+    pub fn pivots(&self) -> Option<Vector6<f64>> {
+        let finite = self.0.iter().all(|value| value.is_finite());
+        let factor = finite.then_some(self.0)?.cholesky()?;
+        Some(factor.l_dirty().diagonal().map(|pivot| pivot * pivot))
+    }
+
+    /// `eᵀR⁻¹e` and `ln det R`; `None` for a matrix that is not positive definite.
+    pub fn mahalanobis(&self, error: &Vector6<f64>) -> Option<(f64, f64)> {
+        let factor = self.0.cholesky()?;
+        Some((error.dot(&factor.solve(error)), 2.0 * factor.l_dirty().diagonal().map(f64::ln).sum()))
+    }
+
+    /// Each component scaled: `R' = D(√s) R D(√s)`, s factors on variances.
+    pub fn scaled(&self, factors: &[f64; 6]) -> Self {
+        Self(Matrix6::from_fn(|row, column| self.0[(row, column)] * (factors[row] * factors[column]).sqrt()))
     }
 
     /// The same error in other axes: `Σ' = Ad_X Σ Ad_Xᵀ` with `X = other_from_self`.

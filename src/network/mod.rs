@@ -2,6 +2,9 @@
 //!
 //! Images in, log-variances out. Knows nothing of poses, datasets or the loss.
 
+mod head;
+mod pose_encoder;
+
 use burn::module::{Module, Param};
 use burn::nn::conv::{Conv2d, Conv2dConfig};
 use burn::nn::{Dropout, DropoutConfig, Initializer, Linear, LinearConfig, PaddingConfig2d};
@@ -9,13 +12,16 @@ use burn::tensor::activation::relu;
 use burn::tensor::{Device, Tensor};
 
 use crate::kernels::{conv2d, linear, relu_dropout};
+use pose_encoder::PoseEncoder;
+
+pub use head::Head;
 
 /// Table I: kernel size, stride and outputs of c1…c5.
 const CONVOLUTIONS: [(usize, usize, usize); 5] = [(5, 2, 64), (5, 2, 128), (3, 2, 256), (3, 2, 512), (3, 1, 1024)];
 /// Table I: outputs of fc1.
 const HIDDEN_UNITS: usize = 128;
-/// Table I: outputs of fc2, one log-variance a component.
-const OUTPUTS: usize = 6;
+/// Log-variances, the first outputs of fc2.
+const COMPONENTS: usize = 6;
 
 /// He's initialisation (He et al. 2015), which keeps the variance of activations through ReLU layers;
 /// Burn draws biases from the same law, where He's are zero.
@@ -26,6 +32,10 @@ const HE_UNIFORM: Initializer = Initializer::KaimingUniform { gain: std::f64::co
 pub struct CovarianceNetworkConfig {
     /// Channels of the concatenated images: 6 for two colour images.
     pub channels: usize,
+    /// Whether the measured pose is an input too.
+    pub pose: bool,
+    /// What fc2 puts out.
+    pub head: Head,
     /// Input height, px.
     pub height: usize,
     /// Input width, px.
@@ -50,6 +60,7 @@ pub struct CovarianceNetwork {
     fc1: Linear,
     fc2: Linear,
     dropout: Dropout,
+    pose_encoder: Option<PoseEncoder>,
 }
 
 impl CovarianceNetworkConfig {
@@ -57,7 +68,7 @@ impl CovarianceNetworkConfig {
     ///
     /// fc2 has zero weights and the bias `initial_log_variance`, so that the first prediction for
     /// every pair is the covariance of the training set.
-    pub fn init(&self, initial_log_variance: [f64; OUTPUTS], device: &Device) -> CovarianceNetwork {
+    pub fn init(&self, initial_log_variance: [f64; COMPONENTS], device: &Device) -> CovarianceNetwork {
         let mut channels = self.channels;
         let [c1, c2, c3, c4, c5] = CONVOLUTIONS.map(|(kernel, stride, outputs)| {
             let inputs = std::mem::replace(&mut channels, outputs);
@@ -68,25 +79,28 @@ impl CovarianceNetworkConfig {
                 .with_initializer(HE_UNIFORM)
                 .init(device)
         });
-        let mut fc2 = LinearConfig::new(HIDDEN_UNITS, OUTPUTS).init(device);
-        fc2.weight = Param::from_tensor(Tensor::zeros([HIDDEN_UNITS, OUTPUTS], device)).set_require_grad(true);
-        fc2.bias = Some(
-            Param::from_tensor(Tensor::<1>::from_floats(initial_log_variance.map(|d| d as f32), device))
-                .set_require_grad(true),
-        );
+        let outputs = self.head.outputs();
+        let mut fc2 = LinearConfig::new(HIDDEN_UNITS, outputs).init(device);
+        fc2.weight = Param::from_tensor(Tensor::zeros([HIDDEN_UNITS, outputs], device)).set_require_grad(true);
+        let mut bias = initial_log_variance.map(|d| d as f32).to_vec();
+        bias.resize(outputs, 0.0);
+        fc2.bias = Some(Param::from_tensor(Tensor::<1>::from_floats(bias.as_slice(), device)).set_require_grad(true));
+        let pose_encoder = self.pose.then(|| PoseEncoder::init(device));
+        let features = self.features() + if self.pose { pose_encoder::UNITS } else { 0 };
         CovarianceNetwork {
             c1,
             c2,
             c3,
             c4,
             c5,
-            fc1: LinearConfig::new(self.features(), HIDDEN_UNITS).with_initializer(HE_UNIFORM).init(device),
+            fc1: LinearConfig::new(features, HIDDEN_UNITS).with_initializer(HE_UNIFORM).init(device),
             fc2,
             dropout: DropoutConfig::new(self.dropout).init(),
+            pose_encoder,
         }
     }
 
-    /// Values that reach fc1: outputs of c5 times its height and width.
+    /// Values that reach fc1 from the images: outputs of c5 times its height and width.
     pub fn features(&self) -> usize {
         let size = |input: usize| {
             CONVOLUTIONS
@@ -99,15 +113,26 @@ impl CovarianceNetworkConfig {
 }
 
 impl CovarianceNetwork {
-    /// Predicts log-variances.
+    /// Predicts covariances.
     ///
     /// # Shapes
     /// - `images`: `[batch, channels, height, width]`
-    /// - returns: `[batch, 6]`, d; order ρ then φ, ln m² and ln rad²
-    pub fn forward(&self, images: Tensor<4>) -> Tensor<2> {
+    /// - `motion`: `[batch, 6]`, for a network that was configured with a pose input
+    /// - returns: `[batch, 6]`, d; order ρ then φ, ln m² and ln rad²; or `[batch, 21]` as [`Head::Full`] says
+    pub fn forward(&self, images: Tensor<4>, motion: Option<Tensor<2>>) -> Tensor<2> {
         let features = self.convolutions().into_iter().fold(images, |images, layer| self.layer(layer, images));
-        let hidden = relu(linear(&self.fc1, features.flatten::<2>(1, 3)));
-        self.fc2.forward(hidden)
+        let features = self.with_pose(features.flatten::<2>(1, 3), motion);
+        self.fc2.forward(relu(linear(&self.fc1, features)))
+    }
+
+    fn with_pose(&self, features: Tensor<2>, motion: Option<Tensor<2>>) -> Tensor<2> {
+        match &self.pose_encoder {
+            None => features,
+            Some(encoder) => {
+                let motion = motion.expect("a network with a pose input is given the pose");
+                Tensor::cat(vec![features, encoder.forward(motion)], 1)
+            }
+        }
     }
 
     /// The activations of c1…c5, each `[batch, outputs, height, width]`.
@@ -158,10 +183,11 @@ mod tests {
     fn kernels_give_the_gradients_of_burns_own_operations() {
         let device = Device::flex().autodiff();
         device.seed(1);
-        let config = CovarianceNetworkConfig { channels: 6, height: 64, width: 96, dropout: 0.0 };
+        let head = Head::Diagonal;
+        let config = CovarianceNetworkConfig { channels: 6, pose: false, head, height: 64, width: 96, dropout: 0.0 };
         let mut network = config.init([-8.0; 6], &device);
         // fc2 starts at zero, which would hide the gradients of everything before it.
-        let weight = Tensor::random([HIDDEN_UNITS, OUTPUTS], Distribution::Normal(0.0, 0.3), &device);
+        let weight = Tensor::random([HIDDEN_UNITS, COMPONENTS], Distribution::Normal(0.0, 0.3), &device);
         network.fc2.weight = Param::from_tensor(weight).set_require_grad(true);
         let images = Tensor::random([4, 6, 64, 96], Distribution::Normal(0.0, 1.0), &device.clone().inner());
         let gradients = |output: Tensor<2>| {
@@ -170,7 +196,7 @@ mod tests {
             network.visit(&mut visitor);
             visitor.values
         };
-        let kernels = gradients(network.forward(images.clone()));
+        let kernels = gradients(network.forward(images.clone(), None));
         let stock = gradients(stock_forward(&network, images));
         assert_eq!(kernels.len(), 14);
         for (index, (kernels, stock)) in kernels.iter().zip(&stock).enumerate() {

@@ -78,6 +78,7 @@ mod tests {
             camera: Pinhole { fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0, width: 128, height: 4 },
             source_from_target: Pose::identity(),
             error: Tangent::zeros(),
+            right: None,
         };
         let mut valid = vec![true; 128 * 4];
         valid[0] = false;

@@ -9,8 +9,8 @@ pub struct EpochRow {
     pub epoch: usize,
     /// Mini-batches since the start of training.
     pub batches: usize,
-    /// Loss of each system over the epoch's mini-batches, dropout on.
-    pub training_loss: Vec<f64>,
+    /// Loss of each system over the epoch's mini-batches, dropout on; `None` for one that is not learned from.
+    pub training_loss: Vec<Option<f64>>,
     /// Loss of each system on the watched split, dropout off; `None` for a system without pairs there.
     pub evaluation_loss: Vec<Option<f64>>,
     /// Share of predicted log-variances that sit on the floor, on the watched split.
@@ -37,9 +37,9 @@ pub struct History {
 }
 
 impl History {
-    /// Training losses of one system, an epoch each.
+    /// Training losses of one system, an epoch each; NaN for an epoch without any.
     pub fn training_losses(&self, system: usize) -> Vec<f64> {
-        self.rows.iter().map(|row| row.training_loss[system]).collect()
+        self.rows.iter().map(|row| row.training_loss[system].unwrap_or(f64::NAN)).collect()
     }
 
     /// Evaluation losses of one system, an epoch each; NaN for an epoch without any.
@@ -74,7 +74,7 @@ impl History {
         self.rows.push(EpochRow {
             epoch: self.rows.len() + 1,
             batches: self.batches,
-            training_loss: self.sums.iter().map(|&(sum, pairs)| sum / pairs.max(1) as f64).collect(),
+            training_loss: self.sums.iter().map(|&(sum, pairs)| (pairs > 0).then(|| sum / pairs as f64)).collect(),
             evaluation_loss,
             at_floor,
             pairs_per_second: self.pairs_per_second(),
@@ -90,12 +90,10 @@ impl History {
         let mut csv =
             format!("epoch,batches{}{},at_floor,pairs_per_second\n", losses("training"), losses("evaluation"));
         for row in &self.rows {
-            let training: String = row.training_loss.iter().map(|loss| format!(",{loss:.6}")).collect();
-            let evaluation: String = row
-                .evaluation_loss
-                .iter()
-                .map(|loss| loss.map_or(",".to_owned(), |loss| format!(",{loss:.6}")))
-                .collect();
+            let columns = |losses: &[Option<f64>]| -> String {
+                losses.iter().map(|loss| loss.map_or(",".to_owned(), |loss| format!(",{loss:.6}"))).collect()
+            };
+            let (training, evaluation) = (columns(&row.training_loss), columns(&row.evaluation_loss));
             csv += &format!(
                 "{},{}{training}{evaluation},{:.4},{:.2}\n",
                 row.epoch, row.batches, row.at_floor, row.pairs_per_second

@@ -315,7 +315,7 @@ impl Learner {
     fn finish_epoch(&mut self, observer: &mut dyn FnMut(Event)) -> Result<bool> {
         let predictions = self.predict_watched(observer)?;
         let floor = self.architecture.log_variance_floor;
-        let at_floor = floor.map_or(0.0, |floor| share_at_floor(&predictions, &floor));
+        let at_floor = floor.map_or(0.0, |floor| share_at_floor(predictions.iter().map(|row| &row.covariance), &floor));
         let systems = self.config.systems.len();
         if mean_loss(&predictions, watched_system(&self.config)).is_none() {
             let first = self.watched_reader.bad_frames().swap_remove(0);

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::evaluation::LogLinear;
+use crate::evaluation::Baselines;
 use crate::geometry::Conventions;
 use crate::model::Architecture;
 
@@ -49,9 +49,7 @@ pub struct SystemSummary {
     pub share: f64,
     /// Its training pairs.
     pub training_pairs: usize,
-    /// Mean e² over them, m² and rad²: the constant baseline.
-    pub mean_squared_error: [f64; 6],
-    /// The log-linear baseline fitted to them; `None` for a system without errors.
-    #[serde(default)]
-    pub log_linear: Option<LogLinear>,
+    /// The baselines fitted to them.
+    #[serde(flatten)]
+    pub baselines: Baselines,
 }

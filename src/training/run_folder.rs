@@ -197,8 +197,11 @@ impl RunFolder {
         }
         let mut model = manifest.architecture.init(manifest.initial_log_variance, device);
         let expected = || {
-            let Architecture { width, height, input, .. } = &manifest.architecture;
-            format!("the weights of Table I at {width}x{height}, input {input:?}, as manifest.json says")
+            let Architecture { width, height, pair, pose, head, .. } = &manifest.architecture;
+            let channels = manifest.architecture.channels();
+            format!(
+                "the weights of Table I at {width}x{height}, {channels} channels, pair {pair:?}, pose {pose:?}, head {head:?}, as manifest.json says"
+            )
         };
         let mut store = SafetensorsStore::from_file(&path);
         let applied = model

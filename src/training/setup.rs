@@ -6,8 +6,8 @@ use super::manifest::{BURN_VERSION, LAYOUT, Manifest, SystemSummary};
 use crate::config::{Config, MinLogVariance, WatchedSplit};
 use crate::data::{Dataset, SplitName};
 use crate::device::device_name;
-use crate::evaluation::{LogLinear, Prediction, mean_loss};
-use crate::geometry::Conventions;
+use crate::evaluation::{Baselines, Prediction, mean_loss};
+use crate::geometry::{Conventions, Covariance6};
 use crate::model::Architecture;
 
 /// Least variance an initial log-variance stands for: that of a system without any error, m² or rad².
@@ -19,7 +19,12 @@ fn architecture(config: &Config, dataset: &Dataset) -> Architecture {
     Architecture {
         height: config.model.height,
         width: config.model.width,
+        pair: config.model.pair,
         input: config.model.input,
+        validity_mask: config.model.validity_mask,
+        stereo: config.model.stereo,
+        pose: config.model.pose,
+        head: config.model.head,
         dropout: config.model.dropout,
         log_variance_floor: match config.model.min_log_variance {
             MinLogVariance::Off => None,
@@ -45,12 +50,7 @@ pub(super) fn describe(config: &Config, dataset: &Dataset, device: &Device) -> M
         name: system.name.clone(),
         share: system.share,
         training_pairs: dataset.train.systems[index].len(),
-        mean_squared_error: dataset.train.mean_squared_error(index).into(),
-        log_linear: {
-            let pairs = &dataset.train.pairs[dataset.train.systems[index].clone()];
-            let (motions, errors): (Vec<_>, Vec<_>) = pairs.iter().map(|pair| (pair.motion, pair.error)).unzip();
-            LogLinear::fit(&motions, &errors)
-        },
+        baselines: Baselines::of_pairs(dataset.train.pairs_of(index)),
     });
     Manifest {
         layout: LAYOUT,
@@ -77,11 +77,12 @@ pub(super) fn constant_loss(dataset: &Dataset, watched: SplitName, manifest: &Ma
         .zip(&split.systems)
         .enumerate()
         .map(|(index, (system, range))| {
-            let usable = system.mean_squared_error.iter().all(|&value| value > 0.0);
-            let log_variance = system.mean_squared_error.map(f64::ln);
-            let constant: Vec<Prediction> =
-                split.pairs[range.clone()].iter().map(|pair| Prediction::new(pair, log_variance)).collect();
-            mean_loss(&constant, index).filter(|_| usable)
+            let variances = system.baselines.mean_squared_error;
+            let usable = variances.iter().all(|&value| value > 0.0);
+            let covariance = Covariance6::from_variances(&variances.into());
+            let pairs = if usable { &split.pairs[range.clone()] } else { &[] };
+            let constant: Vec<Prediction> = pairs.iter().map(|pair| Prediction::new(pair, covariance)).collect();
+            mean_loss(&constant, index)
         })
         .collect()
 }

@@ -419,8 +419,8 @@ fn the_real_sample_trains_end_to_end() {
 
 #[test]
 fn the_shipped_configurations_load() {
-    for entry in std::fs::read_dir("configs").unwrap() {
-        let path = entry.unwrap().path();
+    let files = ["configs", "configs/ablations"].map(|folder| std::fs::read_dir(folder).unwrap());
+    for path in files.into_iter().flatten().map(|entry| entry.unwrap().path()).filter(|path| path.is_file()) {
         relcov::config::Config::load(&path, &[]).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     }
 }

@@ -4,11 +4,12 @@ use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use burn::train::TrainStep;
 use nalgebra::{Vector2, Vector3};
-use relcov::data::PairBatch;
+use relcov::data::{PairBatch, RightBatch};
 use relcov::device::open_device;
 use relcov::geometry::{Pinhole, Pose, Tangent};
 use relcov::loss::gaussian_loss;
-use relcov::model::{Architecture, InputBasis, MicroBatch};
+use relcov::model::{Architecture, ImagePair, InputBasis, MicroBatch, PoseInput};
+use relcov::network::Head;
 use relcov::warp::Warp;
 
 const HEIGHT: usize = 16;
@@ -29,6 +30,11 @@ fn pose_tensor(poses: &[Pose], device: &Device) -> Tensor<3> {
     Tensor::from_data(TensorData::new(rows, [poses.len(), 4, 4]), device)
 }
 
+/// The right camera looks from half a metre to the right.
+fn right_from_left() -> Pose {
+    Pose { translation: Vector3::new(-0.5, 0.0, 0.0), ..Pose::identity() }
+}
+
 /// Two pairs of smooth images with modest motions.
 fn pairs(device: &Device) -> PairBatch {
     let wave = |scale: f32| move |k: usize| 0.5 + 0.4 * ((k % WIDTH) as f32 * scale + (k / WIDTH) as f32 * 0.31).sin();
@@ -37,24 +43,49 @@ fn pairs(device: &Device) -> PairBatch {
         Pose::exp(&Tangent::new(0.1, -0.05, 0.4, 0.01, 0.02, -0.01)),
         Pose::exp(&Tangent::new(-0.2, 0.02, -0.3, -0.02, 0.01, 0.03)),
     ];
+    let right = RightBatch {
+        source_image: floats([2, 3, HEIGHT, WIDTH], wave(0.19), device),
+        target_image: floats([2, 3, HEIGHT, WIDTH], wave(0.2), device),
+        source_from_target: pose_tensor(&poses.map(|pose| right_from_left() * pose), device),
+        target_from_target: pose_tensor(&[right_from_left(); 2], device),
+    };
+    let motion: Vec<f32> = poses.iter().flat_map(|pose| pose.log().as_slice().to_vec()).map(|x| x as f32).collect();
     PairBatch {
         source_image: floats([2, 3, HEIGHT, WIDTH], wave(0.21), device),
         target_image: floats([2, 3, HEIGHT, WIDTH], wave(0.23), device),
         target_depth: floats([2, 1, HEIGHT, WIDTH], |k| 4.0 + 2.0 * (k as f32 * 0.05).sin(), device),
         intrinsics: floats([2, 4], |k| intrinsics[k % 4], device),
         source_from_target: pose_tensor(&poses, device),
+        motion: floats([2, 6], |k| motion[k], device),
         error: floats([2, 6], |k| 0.02 * (k as f32 - 5.5), device),
+        right: Some(right),
     }
 }
 
 fn architecture(input: InputBasis) -> Architecture {
-    Architecture { height: HEIGHT, width: WIDTH, input, dropout: 0.0, log_variance_floor: Some([-14.0; 6]) }
+    Architecture { input, dropout: 0.0, log_variance_floor: Some([-14.0; 6]), ..Architecture::paper(WIDTH, HEIGHT) }
+}
+
+/// With everything that the paper's model does without.
+fn extended() -> Architecture {
+    Architecture {
+        validity_mask: true,
+        stereo: true,
+        pose: PoseInput::Mlp,
+        head: Head::Full,
+        ..architecture(InputBasis::Residual)
+    }
+}
+
+/// Without the warp.
+fn raw() -> Architecture {
+    Architecture { pair: ImagePair::Raw, head: Head::Full, ..architecture(InputBasis::Pair) }
 }
 
 /// Loss and the gradients of every weight for the fixed pairs, with the oracle's weights.
-fn training_step(device: &Device) -> (Vec<f64>, Vec<Vec<f64>>) {
+fn training_step(architecture: &Architecture, device: &Device) -> (Vec<f64>, Vec<Vec<f64>>) {
     let autodiff = device.clone().autodiff();
-    let model = architecture(InputBasis::Residual).init([-4.0; 6], &autodiff);
+    let model = architecture.init([-4.0; 6], &autodiff);
     let model = crate::support::with_formula_weights(model);
     let output = TrainStep::step(&model, MicroBatch { pairs: pairs(device), weight: 0.5 });
     let mut reader = GradientReader { gradients: &output.grads, found: Vec::new() };
@@ -74,16 +105,18 @@ impl burn::module::ModuleVisitor for GradientReader<'_> {
 }
 
 fn compare_with_flex(device: &Device) {
-    let (loss, gradients) = training_step(&open_device("flex").unwrap());
-    let (other_loss, other_gradients) = training_step(device);
-    for (a, b) in loss.iter().zip(&other_loss) {
-        assert!((a - b).abs() <= 1e-4 * a.abs(), "loss {a} against {b}");
-    }
-    assert_eq!(gradients.len(), 14, "weights and biases of seven layers");
-    for (layer, (a, b)) in gradients.iter().zip(&other_gradients).enumerate() {
-        let scale = a.iter().map(|x| x.abs()).fold(0.0, f64::max);
-        let off = a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-        assert!(scale > 0.0 && off <= 1e-3 * scale, "gradient {layer}: off by {off:e} of {scale:e}");
+    for (architecture, tensors) in [(architecture(InputBasis::Residual), 14), (extended(), 18), (raw(), 14)] {
+        let (loss, gradients) = training_step(&architecture, &open_device("flex").unwrap());
+        let (other_loss, other_gradients) = training_step(&architecture, device);
+        for (a, b) in loss.iter().zip(&other_loss) {
+            assert!((a - b).abs() <= 1e-4 * a.abs(), "{architecture:?}: loss {a} against {b}");
+        }
+        assert_eq!(gradients.len(), tensors, "weights and biases of seven or nine layers");
+        for (layer, (a, b)) in gradients.iter().zip(&other_gradients).enumerate() {
+            let scale = a.iter().map(|x| x.abs()).fold(0.0, f64::max);
+            let off = a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            assert!(scale > 0.0 && off <= 1e-3 * scale, "{architecture:?}, {layer}: off by {off:e} of {scale:e}");
+        }
     }
 }
 

@@ -3,7 +3,7 @@
 use nalgebra::Vector6;
 use relcov::config::Config;
 use relcov::data::{Dataset, PairScope, Split, SplitName};
-use relcov::evaluation::{LogLinear, evaluate};
+use relcov::evaluation::{Baselines, evaluate};
 
 use crate::support::shared;
 
@@ -101,16 +101,17 @@ fn the_error_frame_turns_the_axes() {
 fn baselines_reach_the_bars_on_drive_0034() {
     // FIELD.md's bars: fitted on the drives that libviso2 measured, judged on 0034.
     let Some(dataset) = dataset(&["data.validation_fraction=0.0"]) else { return };
-    let of_vo = |split: &Split| split.pairs[split.systems[0].clone()].to_vec();
-    let (train, test) = (of_vo(&dataset.train), of_vo(&dataset.test));
-    let (motions, errors): (Vec<_>, Vec<_>) = train.iter().map(|pair| (pair.motion, pair.error)).unzip();
-    let log_linear = LogLinear::fit(&motions, &errors).unwrap();
-    let constant: [f64; 6] = dataset.train.mean_squared_error(0).into();
+    let baselines = Baselines::of_pairs(dataset.train.pairs_of(0));
+    let test = dataset.test.pairs_of(0);
+    let log_linear = baselines.log_linear.unwrap();
+    let repeated = |variance: [f64; 6]| vec![variance; test.len()];
     let errors: Vec<[f64; 6]> = test.iter().map(|pair| pair.error.into()).collect();
     let by_motion: Vec<[f64; 6]> = test.iter().map(|pair| log_linear.variance(&pair.motion)).collect();
-    for (name, variances, nll, anees) in
-        [("constant", vec![constant; errors.len()], -25.472, 0.867), ("log-linear", by_motion, -26.283, 0.888)]
-    {
+    for (name, variances, nll, anees) in [
+        ("constant", repeated(baselines.mean_squared_error), -25.472, 0.867),
+        ("constant, MAD", repeated(baselines.median_variance.unwrap()), -24.721, 1.842),
+        ("log-linear", by_motion, -26.283, 0.888),
+    ] {
         let found = evaluate(&variances, &errors).unwrap();
         assert!((found.nll.unwrap() - nll).abs() < 0.03, "{name}: NLL {:?} against {nll}", found.nll);
         assert!((found.anees.unwrap() - anees).abs() < 0.01, "{name}: ANEES {:?} against {anees}", found.anees);

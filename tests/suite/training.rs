@@ -47,8 +47,7 @@ fn micro_batches_give_the_gradient_of_the_whole_batch() {
     let samples: Vec<PairSample> =
         dataset.train.pairs.iter().take(8).map(|pair| reader.read(pair).unwrap().expect("readable")).collect();
     let device = open_device("flex").unwrap();
-    let architecture =
-        Architecture { width: 32, height: 16, input: InputBasis::Residual, dropout: 0.0, log_variance_floor: None };
+    let architecture = Architecture { input: InputBasis::Residual, dropout: 0.0, ..Architecture::paper(32, 16) };
     let model = crate::support::with_formula_weights(architecture.init([-6.0; 6], &device.clone().autodiff()));
 
     let gradient = |parts: usize| {

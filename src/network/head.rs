@@ -1,0 +1,127 @@
+//! What the last layer's outputs mean: a diagonal covariance, or a full one.
+
+use burn::tensor::Tensor;
+use nalgebra::{Matrix6, Vector6};
+use serde::{Deserialize, Serialize};
+
+use crate::geometry::Covariance6;
+
+/// Components of a pose error.
+const COMPONENTS: usize = 6;
+/// Entries below the diagonal of a 6x6 matrix.
+const BELOW_DIAGONAL: usize = COMPONENTS * (COMPONENTS - 1) / 2;
+
+/// Form of the predicted covariance.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Head {
+    /// `R = D(exp(d))`, six values (the paper).
+    #[default]
+    Diagonal,
+    /// `R = L D(exp(d)) Lᵀ`, 21 values, positive definite by construction (the paper's reference 5): d,
+    /// then the rows of the unit lower triangular L below its diagonal. These are in units of the training
+    /// set's standard deviations: `L[i][j] = l[i][j] σᵢ / σⱼ`.
+    Full,
+}
+
+impl Head {
+    /// Values that the network puts out.
+    pub fn outputs(self) -> usize {
+        match self {
+            Self::Diagonal => COMPONENTS,
+            Self::Full => COMPONENTS + BELOW_DIAGONAL,
+        }
+    }
+
+    /// `L⁻¹ e`, by forward substitution; components of it are independent under the prediction, with
+    /// variances `exp(d)`. The error itself for a diagonal covariance.
+    ///
+    /// # Shapes
+    /// - `outputs`: `[batch, 6]` or `[batch, 21]`
+    /// - `error`: `[batch, 6]`, m and rad
+    /// - `sigma`: of the training set, m and rad
+    /// - returns: `[batch, 6]`, m and rad
+    pub(crate) fn decorrelate(self, outputs: &Tensor<2>, error: Tensor<2>, sigma: &[f64; 6]) -> Tensor<2> {
+        if self == Self::Diagonal {
+            return error;
+        }
+        let batch = error.dims()[0];
+        let mut residuals: Vec<Tensor<2>> = Vec::with_capacity(COMPONENTS);
+        for row in 0..COMPONENTS {
+            let mut residual = error.clone().slice([0..batch, row..row + 1]);
+            for (column, before) in residuals.iter().enumerate() {
+                let entry = COMPONENTS + below_diagonal(row, column);
+                let unit = (sigma[row] / sigma[column]) as f32;
+                residual = residual - outputs.clone().slice([0..batch, entry..entry + 1]) * before.clone() * unit;
+            }
+            residuals.push(residual);
+        }
+        Tensor::cat(residuals, 1)
+    }
+
+    /// The covariance that one row of outputs stands for, m² and rad²; `sigma` as in training.
+    pub fn covariance(self, outputs: &[f64], sigma: &[f64; 6]) -> Covariance6 {
+        assert_eq!(outputs.len(), self.outputs(), "one row of outputs");
+        let log_variance = Vector6::from_column_slice(&outputs[..COMPONENTS]);
+        match self {
+            Self::Diagonal => Covariance6::from_log_variances(&log_variance),
+            Self::Full => {
+                let lower = Matrix6::from_fn(|row, column| match row.cmp(&column) {
+                    std::cmp::Ordering::Less => 0.0,
+                    std::cmp::Ordering::Equal => 1.0,
+                    std::cmp::Ordering::Greater => {
+                        outputs[COMPONENTS + below_diagonal(row, column)] * sigma[row] / sigma[column]
+                    }
+                });
+                Covariance6::from_factors(&lower, &log_variance)
+            }
+        }
+    }
+}
+
+/// Place of an entry below the diagonal, row by row.
+fn below_diagonal(row: usize, column: usize) -> usize {
+    row * (row - 1) / 2 + column
+}
+
+#[cfg(test)]
+mod tests {
+    use approx::assert_relative_eq;
+    use burn::tensor::{Device, TensorData};
+
+    use super::*;
+    use crate::geometry::Tangent;
+    use crate::loss::gaussian_loss;
+
+    /// Two roads to one number: tensors in f32, matrices in f64.
+    #[test]
+    fn the_loss_of_a_full_covariance_is_its_log_likelihood() {
+        let device = Device::flex();
+        let sigma = [0.05, 0.02, 0.03, 1e-3, 2e-3, 5e-4];
+        let outputs: Vec<f32> = (0..21)
+            .map(|k| if k < 6 { 2.0 * (sigma[k] as f32).ln() + 0.1 * k as f32 } else { 0.6 * (k as f32).sin() })
+            .collect();
+        let error = [0.04, -0.03, 0.02, 2e-3, -1e-3, 4e-4];
+        let row: Vec<f64> = outputs.iter().map(|&value| f64::from(value)).collect();
+        let outputs = Tensor::<2>::from_data(TensorData::new(outputs, [1, 21]), &device);
+        let tensor = Tensor::<2>::from_data(TensorData::new(error.map(|e| e as f32).to_vec(), [1, 6]), &device);
+        let residual = Head::Full.decorrelate(&outputs, tensor, &sigma);
+        let loss: f32 = gaussian_loss(outputs.slice([0..1, 0..6]), residual).into_scalar();
+
+        let covariance = Head::Full.covariance(&row, &sigma);
+        let factor = covariance.matrix().cholesky().expect("positive definite");
+        let error = Tangent::from(error);
+        let log_determinant = 2.0 * factor.l_dirty().diagonal().map(f64::ln).sum();
+        assert_relative_eq!(f64::from(loss), log_determinant + error.dot(&factor.solve(&error)), max_relative = 1e-5);
+        let correlated = covariance.matrix()[(1, 0)].abs();
+        assert!(correlated > 0.1 * sigma[0] * sigma[1], "{correlated}");
+    }
+
+    #[test]
+    fn a_full_head_without_off_diagonal_values_is_the_diagonal_one() {
+        let d = [-6.0, -7.0, -8.0, -12.0, -13.0, -14.0];
+        let outputs: Vec<f64> = d.into_iter().chain([0.0; 15]).collect();
+        let full = Head::Full.covariance(&outputs, &[0.1; 6]);
+        assert_relative_eq!(full.matrix(), Head::Diagonal.covariance(&d, &[0.1; 6]).matrix(), max_relative = 1e-12);
+    }
+}
