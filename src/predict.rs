@@ -8,7 +8,7 @@ use burn::tensor::Device;
 use crate::data::{PairBatch, PairSample, RgbImage, RightImages};
 use crate::depth::DepthMap;
 use crate::error::{Error, Result};
-use crate::evaluation::read_values;
+use crate::evaluation::{Recalibration, read_values};
 use crate::geometry::{Covariance6, ErrorFrame, Pinhole, Pose, Tangent};
 use crate::model::{Architecture, CovarianceModel};
 use crate::training::RunFolder;
@@ -39,6 +39,7 @@ pub struct Model {
     architecture: Architecture,
     error_frame: ErrorFrame,
     network: CovarianceModel,
+    recalibration: Option<Recalibration>,
     device: Device,
 }
 
@@ -83,6 +84,7 @@ impl Model {
             architecture: manifest.architecture,
             error_frame: manifest.conventions.error_frame,
             network,
+            recalibration: run.recalibration()?,
             device: device.clone(),
         })
     }
@@ -119,7 +121,7 @@ impl Model {
         device: &Device,
     ) -> Self {
         let network = architecture.init(log_variance, device);
-        Self { architecture, error_frame, network, device: device.clone() }
+        Self { architecture, error_frame, network, recalibration: None, device: device.clone() }
     }
 
     /// Axes in which predicted covariances are expressed.
@@ -128,7 +130,7 @@ impl Model {
     }
 
     /// Predicts the covariance of a measurement: of `e = log(T̂ T⁻¹)`, order ρ then φ, m² and rad²,
-    /// in axes of [`Model::error_frame`].
+    /// in axes of [`Model::error_frame`]; recalibrated if the run was.
     ///
     /// # Errors
     /// Images do not have the camera's size, buffers not the size they state, the pose or intrinsics
@@ -136,7 +138,8 @@ impl Model {
     pub fn predict(&self, measurement: &Measurement) -> Result<Covariance6> {
         let sample = self.prepare(measurement)?;
         let outputs = read_values(self.network.forward(&PairBatch::new(&[sample], &self.device)))?;
-        Ok(self.network.covariances(&outputs)?.swap_remove(0))
+        let covariance = self.network.covariances(&outputs)?.swap_remove(0);
+        Ok(self.recalibration.as_ref().map_or(covariance, |recalibration| recalibration.apply(&covariance)))
     }
 
     fn prepare(&self, measurement: &Measurement) -> Result<PairSample> {

@@ -3,33 +3,68 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use clap::{Args, ValueEnum};
+use clap::{ArgGroup, Args, ValueEnum};
 
+use super::output::OutputArguments;
 use super::progress::{Progress, note};
-use super::{Overrides, Terminal, print_result, synth};
-use crate::data::{Dataset, PairReader, PairScope, SplitName};
+use super::{Overrides, Terminal, synth};
+use crate::config::Config;
+use crate::data::{BadFrame, Dataset, PairReader, PairScope, SplitName};
 use crate::device::{device_name, open_device};
 use crate::error::Error;
-use crate::evaluation::{MethodName, evaluate_run, perturbation_response, predict_split, write_results};
-use crate::report::mde_table;
-use crate::training::RunFolder;
+use crate::evaluation::{
+    Baselines, Evaluation, Method, Origin, PairTable, Prediction, Recalibration, evaluate_table, perturbation_response,
+    predict_split, read_pairs, write_pairs,
+};
+use crate::geometry::ErrorFrame;
+use crate::report::figures::write_figures;
+use crate::report::{Comparison, Entry};
+use crate::training::{EVALUATION, FIGURES, Manifest, PAIRS, RunFolder};
+
+/// What a trained model's predictions are called.
+const RELCOV: &str = "relcov";
 
 /// Arguments of `relcov eval`.
 #[derive(Args)]
+#[command(group(ArgGroup::new("judged").required(true).args(["run", "baselines_only", "pairs"])))]
 #[command(after_help = "Examples:
   relcov eval --run checkpoints/kitti_sample
-  relcov eval --run checkpoints/kitti_sample --set depth.source=lidar
-  relcov eval --run checkpoints/kitti --split validation --device wgpu")]
+  relcov eval --run checkpoints/kitti_sample --set depth.source=lidar --intervals
+  relcov eval --run checkpoints/kitti --split validation --device wgpu --save-table table.tex
+  relcov eval --baselines-only --config configs/kitti.toml --set data.root=../shared/kitti
+  relcov eval --pairs mine.csv --fit training.csv --error-frame vehicle
+
+--pairs judges the predictions of any program: a CSV with the columns system, drive, source, target,
+error_x … error_yaw, variance_x … variance_yaw, and if you have them covariance_x_y … covariance_pitch_yaw
+(the entries above the diagonal), motion_x … motion_yaw, interval_s, simulated, stated_x_x … stated_yaw_yaw.
+Order x, y, z, roll, pitch, yaw; metres and radians; e = log(measured * truth^-1), a left perturbation.")]
 pub struct EvalArguments {
     /// Run folder of a trained model
     #[arg(long, value_name = "RUN")]
-    run: PathBuf,
+    run: Option<PathBuf>,
+    /// Judge the baselines alone; needs measured and true poses, no image
+    #[arg(long, requires = "config")]
+    baselines_only: bool,
+    /// Judge predictions in a CSV file (columns below)
+    #[arg(long, value_name = "FILE", requires = "error_frame")]
+    pairs: Option<PathBuf>,
     /// Evaluate on the data of another configuration
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", conflicts_with = "pairs")]
     config: Option<PathBuf>,
+    /// With --pairs: errors to fit the baselines to, in the same form
+    #[arg(long, value_name = "FILE", requires = "pairs")]
+    fit: Option<PathBuf>,
+    /// With --pairs: the axes of its errors and covariances
+    #[arg(long, value_enum, requires = "pairs")]
+    error_frame: Option<FrameArgument>,
     /// Which pairs
-    #[arg(long, value_enum, default_value = "test")]
+    #[arg(long, value_enum, default_value = "test", conflicts_with = "pairs")]
     split: SplitArgument,
+    /// Fit the factors that make variances right to the validation split again, and keep them in the run
+    #[arg(long, requires = "run")]
+    recalibrate: bool,
+    #[command(flatten)]
+    output: OutputArguments,
     #[command(flatten)]
     overrides: Overrides,
 }
@@ -41,28 +76,79 @@ enum SplitArgument {
     Test,
 }
 
+#[derive(Clone, Copy, ValueEnum)]
+enum FrameArgument {
+    Vehicle,
+    Camera,
+    World,
+}
+
 pub fn run(arguments: EvalArguments, terminal: &Terminal) -> anyhow::Result<()> {
+    arguments.output.check()?;
     let split = match arguments.split {
         SplitArgument::Train => SplitName::Train,
         SplitArgument::Validation => SplitName::Validation,
         SplitArgument::Test => SplitName::Test,
     };
-    evaluate(&arguments.run, arguments.config.as_deref(), split, &arguments.overrides, terminal)
+    let entry = match (&arguments.run, &arguments.pairs, &arguments.config) {
+        (Some(run), _, config) => {
+            let recalibrate = if arguments.recalibrate { Recalibrate::Anew } else { Recalibrate::AsStored };
+            evaluate_run(run, config.as_deref(), split, recalibrate, &arguments.overrides, terminal)?
+        }
+        (_, Some(pairs), _) => {
+            let frame = match arguments.error_frame {
+                Some(FrameArgument::Camera) => ErrorFrame::Camera,
+                Some(FrameArgument::World) => ErrorFrame::World,
+                Some(FrameArgument::Vehicle) | None => ErrorFrame::Vehicle,
+            };
+            evaluate_file(pairs, arguments.fit.as_deref(), frame)?
+        }
+        (_, _, Some(config)) => evaluate_baselines(&arguments.overrides.load(config)?, config, split)?,
+        (None, None, None) => unreachable!("clap requires one of them"),
+    };
+    let comparison = Comparison::new(vec![entry])?;
+    // The table first: a folder that cannot be written must not cost it.
+    arguments.output.deliver(&comparison, terminal)?;
+    store_in_run(&comparison, terminal)
 }
 
-/// Evaluates a run, writes its results into its folder and prints the table.
-pub fn evaluate(
+/// Keeps scores, measurements and figures in the folder of the run they belong to.
+pub fn store_in_run(comparison: &Comparison, terminal: &Terminal) -> anyhow::Result<()> {
+    for entry in &comparison.entries {
+        let Some(folder) = &entry.folder else { continue };
+        entry.evaluation.write(&folder.join(EVALUATION))?;
+        write_pairs(&folder.join(PAIRS), &entry.table)?;
+        let figures = write_figures(comparison, &folder.join(FIGURES))?;
+        let text = format!("wrote {}, {PAIRS} and {figures} figures beside it", folder.join(EVALUATION).display());
+        note(terminal.quiet, &text);
+    }
+    Ok(())
+}
+
+/// Which recalibration a run's predictions get.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Recalibrate {
+    /// That of its folder, if there is one.
+    AsStored,
+    /// A new one, which is stored.
+    Anew,
+}
+
+/// Evaluates a run.
+pub fn evaluate_run(
     run_path: &Path,
     config: Option<&Path>,
     split: SplitName,
+    recalibrate: Recalibrate,
     overrides: &Overrides,
     terminal: &Terminal,
-) -> anyhow::Result<()> {
+) -> anyhow::Result<Entry> {
     let run = RunFolder::open(run_path)?;
     let manifest = run.manifest()?;
     let mut config = overrides.load(config.unwrap_or(&run.config_path()))?;
-    let (width, height) = (manifest.architecture.width, manifest.architecture.height);
-    (config.model.width, config.model.height) = (width, height);
+    let architecture = &manifest.architecture;
+    (config.model.width, config.model.height) = (architecture.width, architecture.height);
+    config.model.stereo = architecture.stereo;
     if config.data.error_frame != manifest.conventions.error_frame {
         return Err(Error::config(
             "data.error_frame",
@@ -78,41 +164,121 @@ pub fn evaluate(
     let model = run.load_model(&manifest, &device)?;
     synth::make_if_asked(&config, terminal)?;
     let dataset = Dataset::load(&config, PairScope::Images)?;
-    let pairs = dataset.require(split)?;
+    let predict = |split: SplitName, reader: &Arc<PairReader>| -> Result<Vec<Prediction>, Error> {
+        let pairs = dataset.require(split)?;
+        let mut progress = Progress::new(terminal.quiet, "evaluating", 0, pairs.pairs.len());
+        predict_split(&model, reader, pairs, &config.training, &device, &mut |done| {
+            progress.set(done, "pairs");
+            Ok(())
+        })
+    };
+    dataset.require(split)?;
+    let recalibration = match recalibrate {
+        Recalibrate::AsStored => run.recalibration()?,
+        Recalibrate::Anew => {
+            let reader = Arc::new(PairReader::new(&config, &dataset, SplitName::Validation));
+            let predictions = predict(SplitName::Validation, &reader)?;
+            let fitted = Recalibration::fit(&predictions, &dataset.systems, SplitName::Validation.name());
+            let fitted =
+                fitted.ok_or_else(|| Error::Data("no validation pair has errors to fit factors to".to_owned()))?;
+            run.write_recalibration(&fitted)?;
+            Some(fitted)
+        }
+    };
     let reader = Arc::new(PairReader::new(&config, &dataset, split));
-
-    let mut progress = Progress::new(terminal.quiet, "evaluating", 0, pairs.pairs.len());
-    let predictions = predict_split(&model, &reader, pairs, &config.training, &device, &mut |done| {
-        progress.set(done, "pairs");
-        Ok(())
-    })?;
-    drop(progress);
+    let mut predictions = predict(split, &reader)?;
+    if let Some(recalibration) = &recalibration {
+        predictions.iter_mut().for_each(|row| row.covariance = recalibration.apply(&row.covariance));
+    }
+    let table = PairTable::from_predictions(&predictions, &dataset, manifest.conventions.error_frame);
+    drop(predictions);
     let bad_frames = reader.bad_frames();
-    let mut evaluation =
-        evaluate_run(&predictions, &dataset, &manifest, run_path, split, device_name(&device), &bad_frames)?;
-    evaluation.perturbation_response = perturbation_response(&model, &reader, &dataset, pairs, &manifest, &device)?;
-    // The table first: a folder that cannot be written must not cost it.
-    print_result(&mde_table(&evaluation))?;
-    for (system, results) in &evaluation.systems {
-        if results.methods.iter().all(|(name, _)| *name != MethodName::Constant.name()) {
-            note(terminal.quiet, &format!("no constant baseline for `{system}`: the run was not trained on it"));
+    let origin = Origin {
+        run: run_path.display().to_string(),
+        predicted: RELCOV.to_owned(),
+        split: split.name().to_owned(),
+        device: device_name(&device),
+        unreadable_frames: bad_frames.iter().map(describe).collect(),
+        recalibration,
+        log_variance_floor: architecture.log_variance_floor,
+    };
+    let mut evaluation = evaluate_table(&table, &baselines(&manifest), origin)?;
+    evaluation.perturbation_response =
+        perturbation_response(&model, &reader, &dataset, dataset.require(split)?, &manifest, &device)?;
+    report_gaps(&evaluation, &table, terminal);
+    for bad in &bad_frames {
+        note(false, &format!("left out: {}", describe(bad)));
+    }
+    let canonical = run_path.canonicalize().unwrap_or_else(|_| run_path.to_owned());
+    let name = canonical.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    Ok(Entry { name, evaluation, table, folder: Some(run.path().to_owned()) })
+}
+
+fn baselines(manifest: &Manifest) -> Vec<(String, Baselines)> {
+    manifest.systems.iter().map(|summary| (summary.name.clone(), summary.baselines)).collect()
+}
+
+fn describe(bad: &BadFrame) -> String {
+    format!("{} frame {}: {}", bad.drive, bad.frame, bad.problem)
+}
+
+/// What a reader may miss in the table.
+fn report_gaps(evaluation: &Evaluation, table: &PairTable, terminal: &Terminal) {
+    for (name, system) in evaluation.systems.iter() {
+        if system.baselines.is_none() {
+            note(terminal.quiet, &format!("no constant baseline for `{name}`: nothing was fitted to it"));
         }
     }
-    for (index, system) in dataset.systems.iter().enumerate() {
-        let rows: Vec<_> = predictions.iter().filter(|prediction| prediction.system == index).collect();
-        let stated = rows.iter().filter(|prediction| prediction.stated_covariance.is_some()).count();
-        if stated > 0 && stated < rows.len() {
-            let text = format!(
-                "`{system}` states the covariance of {stated} of {} pairs only: they are not evaluated",
-                rows.len()
-            );
+    for system in &table.systems {
+        let (pairs, stated) = (system.rows.len(), system.rows.iter().filter(|row| row.stated.is_some()).count());
+        if stated > 0 && stated < pairs {
+            let name = &system.name;
+            let text =
+                format!("`{name}` states the covariance of {stated} of {pairs} pairs only: they are not evaluated");
             note(terminal.quiet, &text);
         }
     }
-    for bad in &bad_frames {
-        note(false, &format!("left out: {} frame {}: {}", bad.drive, bad.frame, bad.problem));
+}
+
+/// The baselines, fitted to the training split, on another one; poses alone.
+fn evaluate_baselines(config: &Config, path: &Path, split: SplitName) -> anyhow::Result<Entry> {
+    let dataset = Dataset::load(config, PairScope::Poses)?;
+    let fitted: Vec<(String, Baselines)> = dataset
+        .systems
+        .iter()
+        .enumerate()
+        .map(|(index, name)| (name.clone(), Baselines::of_pairs(dataset.train.pairs_of(index))))
+        .collect();
+    dataset.require(SplitName::Train)?;
+    let table = PairTable::from_split(dataset.require(split)?, &dataset, config.data.error_frame);
+    let origin = origin_of_file(path, Method::Constant.name(RELCOV), split.name());
+    let evaluation = evaluate_table(&table, &fitted, origin)?;
+    Ok(Entry { name: config.name.clone(), evaluation, table, folder: None })
+}
+
+/// Predictions that another program made.
+fn evaluate_file(pairs: &Path, fit: Option<&Path>, frame: ErrorFrame) -> anyhow::Result<Entry> {
+    let table = read_pairs(pairs, frame)?;
+    let fitted = match fit {
+        None => Vec::new(),
+        Some(path) => {
+            let training = read_pairs(path, frame)?;
+            training.systems.iter().map(|system| (system.name.clone(), Baselines::of_system(system))).collect()
+        }
+    };
+    let name = pairs.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let evaluation = evaluate_table(&table, &fitted, origin_of_file(pairs, name.clone(), "given"))?;
+    Ok(Entry { name, evaluation, table, folder: None })
+}
+
+fn origin_of_file(path: &Path, predicted: String, split: &str) -> Origin {
+    Origin {
+        run: path.display().to_string(),
+        predicted,
+        split: split.to_owned(),
+        device: "none".to_owned(),
+        unreadable_frames: Vec::new(),
+        recalibration: None,
+        log_variance_floor: None,
     }
-    write_results(run.path(), &evaluation, &predictions, &dataset)?;
-    note(terminal.quiet, &format!("wrote {} and pairs.csv beside it", run.path().join("evaluation.json").display()));
-    Ok(())
 }

@@ -4,7 +4,9 @@
 
 mod eval;
 mod inspect;
+mod output;
 mod progress;
+mod report;
 mod synth;
 mod train;
 
@@ -26,7 +28,8 @@ const INTERRUPTED: u8 = 130;
   relcov train --config configs/synthetic.toml
   relcov inspect --config configs/kitti_sample.toml
   relcov train --config configs/kitti_sample.toml
-  relcov eval --run checkpoints/kitti_sample")]
+  relcov eval --run checkpoints/kitti_sample
+  relcov report checkpoints/kitti_sample --html report.html")]
 struct Arguments {
     #[command(subcommand)]
     command: Command,
@@ -42,10 +45,12 @@ struct Arguments {
 enum Command {
     /// Train a covariance model and print the MDE table of its test split
     Train(train::TrainArguments),
-    /// Print the MDE table of a trained model; write evaluation.json and pairs.csv
+    /// Judge predicted covariances: MDE table, proper scores, calibration, figures
     Eval(eval::EvalArguments),
     /// Show what a configuration finds: drives, frames, pairs, systems, depth, problems
     Inspect(inspect::InspectArguments),
+    /// Compare results: tables, figures, one page
+    Report(report::ReportArguments),
     /// Render a synthetic street world in the KITTI raw layout, with systems of known covariance
     Synth(synth::SynthArguments),
 }
@@ -84,6 +89,7 @@ pub fn run() -> ExitCode {
         Command::Train(arguments) => train::run(arguments, &terminal),
         Command::Eval(arguments) => eval::run(arguments, &terminal),
         Command::Inspect(arguments) => inspect::run(&arguments),
+        Command::Report(arguments) => report::run(&arguments, &terminal),
         Command::Synth(arguments) => synth::run(&arguments, &terminal),
     };
     match outcome {

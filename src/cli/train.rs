@@ -7,11 +7,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::Context;
 use clap::Args;
 
+use super::eval::{self, Recalibrate};
 use super::progress::{Progress, note};
-use super::{Overrides, Terminal, eval, synth};
+use super::{Overrides, Terminal, print_result, synth};
 use crate::data::{Dataset, PairScope, SplitName};
 use crate::device::{device_name, is_slow_to_train, open_device};
 use crate::error::Error;
+use crate::report::{Comparison, Intervals, TableFormat, render_results};
 use crate::training::{Event, Learner, RunFolder, StopReason};
 
 /// Arguments of `relcov train`.
@@ -68,7 +70,10 @@ pub fn run(arguments: TrainArguments, terminal: &Terminal) -> anyhow::Result<()>
     }
     let run = learner.run().path().to_owned();
     drop(learner);
-    eval::evaluate(&run, None, SplitName::Test, &arguments.overrides, terminal)
+    let entry = eval::evaluate_run(&run, None, SplitName::Test, Recalibrate::AsStored, &arguments.overrides, terminal)?;
+    let comparison = Comparison::new(vec![entry])?;
+    print_result(&render_results(&comparison, TableFormat::Text, Intervals::Hidden))?;
+    eval::store_in_run(&comparison, terminal)
 }
 
 fn prepare(arguments: &TrainArguments, terminal: &Terminal) -> anyhow::Result<Learner> {

@@ -4,6 +4,7 @@ use nalgebra::Vector6;
 use serde::{Deserialize, Serialize};
 
 use super::log_linear::LogLinear;
+use super::pair_table::SystemPairs;
 use super::ranks::median;
 use crate::data::Pair;
 use crate::geometry::Tangent;
@@ -30,6 +31,16 @@ impl Baselines {
     pub fn of_pairs(pairs: &[Pair]) -> Self {
         let (motions, errors): (Vec<_>, Vec<_>) = pairs.iter().map(|pair| (pair.motion, pair.error)).unzip();
         Self::fit(&motions, &errors)
+    }
+
+    /// Fits to the measurements of one system; log-linear where their motion is known.
+    pub fn of_system(system: &SystemPairs) -> Self {
+        let errors: Vec<Tangent> = system.rows.iter().map(|row| row.error.into()).collect();
+        let motions: Option<Vec<Tangent>> = system.rows.iter().map(|row| row.motion.map(Tangent::from)).collect();
+        match motions {
+            Some(motions) => Self::fit(&motions, &errors),
+            None => Self { log_linear: None, ..Self::fit(&vec![Tangent::zeros(); errors.len()], &errors) },
+        }
     }
 
     /// Fits to errors (m and rad) and the measured motions they belong to (`log T̂` in vehicle axes).

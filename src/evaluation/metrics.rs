@@ -1,140 +1,253 @@
 //! Metrics of predicted covariances; z = e/√R throughout, R the diagonal.
 
+use std::ops::Range;
+
+use libm::erf;
 use serde::{Deserialize, Serialize};
 
-use super::ranks::{correlation, median};
+use super::against_true::AgainstTrue;
+use super::bootstrap::Resamples;
+use super::ranks::{quantile, spearman};
+use super::sparsification::sparsification_areas;
 use crate::geometry::Covariance6;
 
 /// Squared Mahalanobis distance that a 6-dimensional Gaussian error stays below with probability 0.95.
-const CHI_SQUARED_6_95: f64 = 12.592;
+pub const CHI_SQUARED_6_95: f64 = 12.592;
+/// Bins of the expected normalised calibration error.
+pub const CALIBRATION_BINS: usize = 10;
 
-/// How well variances describe errors. What does not exist for a method (the likelihood of a zero
-/// variance, the calibration against errors that are all zero) is `None`.
+/// How well covariances describe errors. What does not exist for a method (the likelihood of a zero
+/// variance, the rank correlation of a constant, the calibration against errors that are all zero) is `None`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Metrics {
     /// Median dispersion error, `median √|R − e²|` (paper Section V-B.3); m and rad. Improper: a
     /// predictor of zero can win it.
     pub mde: [f64; 6],
+    /// Block-bootstrap interval of the same: lower and upper bounds.
+    pub mde_interval: Option<[[f64; 6]; 2]>,
     /// Quartiles of the same: 25, 50 and 75 %.
     pub de_quartiles: [[f64; 6]; 3],
-    /// Mean of ½(6 ln 2π + Σ ln R + eᵀR⁻¹e), nats. Lower is better; proper.
+    /// Mean of ½(6 ln 2π + ln det R + eᵀR⁻¹e), nats. Lower is better; proper.
     pub nll: Option<f64>,
+    /// Block-bootstrap interval of the same.
+    pub nll_interval: Option<[f64; 2]>,
+    /// Mean of the same minus that of the constant baseline, and its interval on the same resamples.
+    pub nll_over_constant: Option<Difference>,
+    /// Mean of ½(ln 2π + ln R + z²) of each component alone, nats.
+    pub nll_by_component: Option<[f64; 6]>,
+    /// Continuous ranked probability score, mean of `σ(z(2Φ(z)−1) + 2φ(z) − 1/√π)`; m and rad, lower is
+    /// better; proper (Gneiting and Raftery 2007).
+    pub crps: Option<[f64; 6]>,
     /// Mean of eᵀR⁻¹e / 6; 1 when calibrated.
     pub anees: Option<f64>,
+    /// Block-bootstrap interval of the same.
+    pub anees_interval: Option<[f64; 2]>,
     /// Share of pairs with eᵀR⁻¹e < 12.592; .95 when calibrated.
     pub nees_below_95: Option<f64>,
     /// Mean of z²; 1 when calibrated.
     pub zms: Option<[f64; 6]>,
-    /// Shares with |z| below 1, 2 and 3; .683, .954, .997 when calibrated.
+    /// Shares with |z| at most 1, 2 and 3; .683, .954, .997 when calibrated.
     pub coverage: Option<[[f64; 6]; 3]>,
+    /// Expected normalised calibration error, mean over bins of σ of |RMV − RMSE| / RMV (Levi et al. 2022):
+    /// 0 when calibrated wherever σ is small or large.
+    pub ence: Option<[f64; 6]>,
+    /// Area under the sparsification error: 0 when σ ranks pairs as |e| does.
+    pub ause: Option<[f64; 6]>,
+    /// Area under the random gain: above 0 when σ ranks errors better than chance.
+    pub aurg: Option<[f64; 6]>,
+    /// Rank correlation of |e| and σ.
+    pub spearman: [Option<f64>; 6],
     /// Mean of √R, m and rad.
     pub sharpness: [f64; 6],
     /// Share of outputs on the variance floor.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub at_floor: Option<f64>,
     /// Against the system's true covariance, where the data state it.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub against_true: Option<AgainstTrue>,
 }
 
-/// Predicted beside true standard deviations, component by component.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct AgainstTrue {
-    /// Median of predicted over true σ.
-    pub median_sigma_ratio: [f64; 6],
-    /// Correlation of ln σ with ln true σ; `None` where one of them is constant.
-    pub log_sigma_correlation: [Option<f64>; 6],
+/// A mean difference and the bounds of its interval.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Difference {
+    /// Mean.
+    pub mean: f64,
+    /// Bounds.
+    pub interval: [f64; 2],
 }
 
-impl AgainstTrue {
-    /// Compares variances row by row; `None` without rows or with a variance that is not positive.
-    pub fn compare(predicted: &[[f64; 6]], truth: &[[f64; 6]]) -> Option<Self> {
-        let positive = |rows: &[[f64; 6]]| rows.iter().flatten().all(|&variance| variance > 0.0);
-        if predicted.is_empty() || !positive(predicted) || !positive(truth) {
+/// Squared Mahalanobis distances and log-determinants of rows.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct JointScores {
+    /// eᵀR⁻¹e.
+    pub(super) nees: Vec<f64>,
+    /// ½(6 ln 2π + ln det R + eᵀR⁻¹e), nats.
+    pub(super) nll: Vec<f64>,
+}
+
+impl JointScores {
+    /// `None` when a covariance cannot be inverted or all errors are zero.
+    pub(super) fn of(covariances: &[Covariance6], errors: &[[f64; 6]]) -> Option<Self> {
+        if errors.iter().flatten().all(|&error| error == 0.0) {
             return None;
         }
-        let log_sigmas =
-            |rows: &[[f64; 6]], c: usize| -> Vec<f64> { rows.iter().map(|row| 0.5 * row[c].ln()).collect() };
-        Some(Self {
-            median_sigma_ratio: std::array::from_fn(|c| {
-                let ratios = predicted.iter().zip(truth).map(|(predicted, truth)| (predicted[c] / truth[c]).sqrt());
-                median(ratios.collect()).expect("not empty")
-            }),
-            log_sigma_correlation: std::array::from_fn(|c| {
-                correlation(&log_sigmas(predicted, c), &log_sigmas(truth, c))
-            }),
-        })
+        let (mut nees, mut nll) = (Vec::with_capacity(errors.len()), Vec::with_capacity(errors.len()));
+        for (covariance, &error) in covariances.iter().zip(errors) {
+            let (distance, log_determinant) = covariance.mahalanobis(&error.into())?;
+            nees.push(distance);
+            nll.push(0.5 * (6.0 * std::f64::consts::TAU.ln() + log_determinant + distance));
+        }
+        Some(Self { nees, nll })
     }
 }
 
-/// Evaluates diagonal covariances against errors, row by row (order ρ then φ); `None` without rows.
-pub fn evaluate(variances: &[[f64; 6]], errors: &[[f64; 6]]) -> Option<Metrics> {
-    assert_eq!(variances.len(), errors.len(), "one variance for each error");
-    let rows = variances.iter().zip(errors);
-    let nees = rows.map(|(variance, error)| variance.iter().zip(error).map(|(v, e)| e * e / v).sum()).collect();
-    let log_determinants: Vec<f64> = variances.iter().map(|variance| variance.iter().map(|v| v.ln()).sum()).collect();
-    let possible = variances.iter().flatten().all(|&variance| variance > 0.0);
-    evaluate_joint(variances, errors, possible.then_some((nees, log_determinants)))
+/// Evaluates covariances against errors, row by row (order ρ then φ); `None` without rows.
+///
+/// Joint scores take the whole matrix, scores of components its diagonal; without resamples there are no
+/// intervals.
+pub fn evaluate(covariances: &[Covariance6], errors: &[[f64; 6]], resamples: Option<&Resamples>) -> Option<Metrics> {
+    evaluate_over(covariances, errors, resamples, None)
 }
 
-/// Evaluates full covariances: joint scores by the whole matrix, scores of components by its diagonal.
-/// `None` without rows.
-pub fn evaluate_full(covariances: &[Covariance6], errors: &[[f64; 6]]) -> Option<Metrics> {
+/// The same, and by how much the NLL differs from that of a reference.
+pub(super) fn evaluate_over(
+    covariances: &[Covariance6],
+    errors: &[[f64; 6]],
+    resamples: Option<&Resamples>,
+    reference_nll: Option<&[f64]>,
+) -> Option<Metrics> {
     assert_eq!(covariances.len(), errors.len(), "one covariance for each error");
-    let variances: Vec<[f64; 6]> = covariances.iter().map(|covariance| covariance.variance().into()).collect();
-    let joint: Option<Vec<(f64, f64)>> =
-        covariances.iter().zip(errors).map(|(covariance, &error)| covariance.mahalanobis(&error.into())).collect();
-    evaluate_joint(&variances, errors, joint.map(|joint| joint.into_iter().unzip()))
-}
-
-/// `joint` holds eᵀR⁻¹e and ln det R of each row, if R can be inverted in every row.
-fn evaluate_joint(variances: &[[f64; 6]], errors: &[[f64; 6]], joint: Option<(Vec<f64>, Vec<f64>)>) -> Option<Metrics> {
     if errors.is_empty() {
         return None;
     }
-    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
-    let column = |value: &dyn Fn(f64, f64) -> f64, component: usize| -> Vec<f64> {
-        variances.iter().zip(errors).map(|(variance, error)| value(variance[component], error[component])).collect()
-    };
-    let per_component = |summary: &dyn Fn(usize) -> f64| std::array::from_fn(summary);
-
-    let mut dispersion: [Vec<f64>; 6] =
-        std::array::from_fn(|c| column(&|variance, error| (variance - error * error).abs().sqrt(), c));
-    dispersion.iter_mut().for_each(|values| values.sort_by(f64::total_cmp));
-    let quartile = |share: f64| per_component(&|c| quantile(&dispersion[c], share));
-
-    let erroneous = errors.iter().flatten().any(|&error| error != 0.0);
-    let joint = joint.filter(|_| erroneous);
-    let z_squared: [Vec<f64>; 6] = std::array::from_fn(|c| column(&|variance, error| error * error / variance, c));
-    let calibratable = joint.is_some();
+    let error: [Vec<f64>; 6] = std::array::from_fn(|c| errors.iter().map(|error| error[c]).collect());
+    let sigma: [Vec<f64>; 6] =
+        std::array::from_fn(|c| covariances.iter().map(|covariance| covariance.matrix()[(c, c)].sqrt()).collect());
+    let joint = JointScores::of(covariances, errors);
+    let wrong = errors.iter().flatten().any(|&error| error != 0.0);
+    // A score of z exists where a likelihood does.
+    let z_squared: Option<[Vec<f64>; 6]> = joint.is_some().then(|| {
+        std::array::from_fn(|c| error[c].iter().zip(&sigma[c]).map(|(e, sigma)| (e / sigma).powi(2)).collect())
+    });
+    let dispersion: [Vec<f64>; 6] =
+        std::array::from_fn(|c| error[c].iter().zip(&sigma[c]).map(|(e, s)| (s * s - e * e).abs().sqrt()).collect());
+    let mde_interval = resamples.map(|resamples| resamples.median_intervals(&dispersion));
+    let sorted = dispersion.map(|mut values| {
+        values.sort_unstable_by(f64::total_cmp);
+        values
+    });
+    let quartiles = [0.25, 0.5, 0.75].map(|share| per_component(|c| quantile(&sorted[c], share)));
+    let areas: Option<[[f64; 2]; 6]> = wrong.then(|| ()).and_then(|()| {
+        let areas: Option<Vec<_>> = (0..6).map(|c| sparsification_areas(&sigma[c], &error[c])).collect();
+        areas?.try_into().ok()
+    });
 
     Some(Metrics {
-        mde: quartile(0.5),
-        de_quartiles: [quartile(0.25), quartile(0.5), quartile(0.75)],
-        nll: joint.as_ref().map(|(nees, log_determinants)| {
-            0.5 * (6.0 * std::f64::consts::TAU.ln() + mean(log_determinants) + mean(nees))
+        mde: quartiles[1],
+        mde_interval: mde_interval.map(|bounds| [0, 1].map(|side| bounds.map(|bounds| bounds[side]))),
+        de_quartiles: quartiles,
+        nll: joint.as_ref().map(|joint| mean(&joint.nll)),
+        nll_interval: joint.as_ref().zip(resamples).map(|(joint, resamples)| resamples.mean_interval(&joint.nll)),
+        nll_over_constant: joint.as_ref().zip(resamples).zip(reference_nll).map(|((joint, resamples), reference)| {
+            let differences: Vec<f64> =
+                joint.nll.iter().zip(reference).map(|(nll, reference)| nll - reference).collect();
+            Difference { mean: mean(&differences), interval: resamples.mean_interval(&differences) }
         }),
-        anees: joint.as_ref().map(|(nees, _)| mean(nees) / 6.0),
-        nees_below_95: joint.as_ref().map(|(nees, _)| share(nees, |value| value < CHI_SQUARED_6_95)),
-        zms: calibratable.then(|| per_component(&|c| mean(&z_squared[c]))),
-        coverage: calibratable
-            .then(|| [1.0, 4.0, 9.0].map(|limit| per_component(&|c| share(&z_squared[c], |value| value <= limit)))),
-        sharpness: per_component(&|c| mean(&column(&|variance, _| variance.sqrt(), c))),
+        nll_by_component: z_squared.as_ref().map(|z_squared| {
+            per_component(|c| {
+                let log_sigma = mean_of(sigma[c].iter().map(|sigma| sigma.ln()));
+                0.5 * std::f64::consts::TAU.ln() + log_sigma + 0.5 * mean(&z_squared[c])
+            })
+        }),
+        crps: wrong.then(|| per_component(|c| mean_of(error[c].iter().zip(&sigma[c]).map(|(&e, &s)| crps(e, s))))),
+        anees: joint.as_ref().map(|joint| mean(&joint.nees) / 6.0),
+        anees_interval: joint
+            .as_ref()
+            .zip(resamples)
+            .map(|(joint, resamples)| resamples.mean_interval(&joint.nees).map(|bound| bound / 6.0)),
+        nees_below_95: joint.as_ref().map(|joint| share(&joint.nees, |value| value < CHI_SQUARED_6_95)),
+        zms: z_squared.as_ref().map(|z_squared| per_component(|c| mean(&z_squared[c]))),
+        coverage: z_squared.as_ref().map(|z_squared| {
+            [1.0, 4.0, 9.0].map(|limit| per_component(|c| share(&z_squared[c], |value| value <= limit)))
+        }),
+        ence: joint.is_some().then(|| per_component(|c| ence(&error[c], &sigma[c]))),
+        ause: areas.map(|areas| areas.map(|[ause, _]| ause)),
+        aurg: areas.map(|areas| areas.map(|[_, aurg]| aurg)),
+        spearman: std::array::from_fn(|c| {
+            let sizes: Vec<f64> = error[c].iter().map(|error| error.abs()).collect();
+            spearman(&sizes, &sigma[c])
+        }),
+        sharpness: per_component(|c| mean(&sigma[c])),
         at_floor: None,
         against_true: None,
     })
+}
+
+fn per_component(summary: impl Fn(usize) -> f64) -> [f64; 6] {
+    std::array::from_fn(summary)
+}
+
+fn mean(values: &[f64]) -> f64 {
+    mean_of(values.iter().copied())
+}
+
+fn mean_of(values: impl ExactSizeIterator<Item = f64>) -> f64 {
+    let count = values.len() as f64;
+    values.sum::<f64>() / count
 }
 
 fn share(values: &[f64], condition: impl Fn(f64) -> bool) -> f64 {
     values.iter().filter(|&&value| condition(value)).count() as f64 / values.len() as f64
 }
 
-/// Quantile of sorted values, linear between neighbours (numpy's default).
-fn quantile(sorted: &[f64], share: f64) -> f64 {
-    let position = share * (sorted.len() - 1) as f64;
-    let below = position.floor() as usize;
-    let above = (below + 1).min(sorted.len() - 1);
-    sorted[below] + (position - below as f64) * (sorted[above] - sorted[below])
+/// Of a zero-mean Gaussian against an error; |e| for a prediction without spread.
+fn crps(error: f64, sigma: f64) -> f64 {
+    if sigma == 0.0 {
+        return error.abs();
+    }
+    let z = error / sigma;
+    let density = (-0.5 * z * z).exp() / std::f64::consts::TAU.sqrt();
+    // 2Φ(z) − 1 is erf(z/√2).
+    sigma * (z * erf(z * std::f64::consts::FRAC_1_SQRT_2) + 2.0 * density - std::f64::consts::PI.sqrt().recip())
+}
+
+fn ence(errors: &[f64], sigma: &[f64]) -> f64 {
+    let bins = calibration_bins(errors, sigma);
+    bins.iter().map(|bin| (bin.sigma - bin.error).abs() / bin.sigma).sum::<f64>() / bins.len() as f64
+}
+
+/// Root mean squares over the pairs of a bin of σ, m or rad.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CalibrationBin {
+    /// Of σ (root mean variance, RMV).
+    pub sigma: f64,
+    /// Of the error (RMSE).
+    pub error: f64,
+}
+
+/// Pairs sorted by σ in ten bins of equal count; equal σ share a bin, so a constant has one.
+pub fn calibration_bins(errors: &[f64], sigma: &[f64]) -> Vec<CalibrationBin> {
+    let mut order: Vec<u32> = (0..sigma.len() as u32).collect();
+    order.sort_unstable_by(|&a, &b| sigma[a as usize].total_cmp(&sigma[b as usize]));
+    let sigma_at = |place: usize| sigma[order[place] as usize];
+    let mut edges = vec![0];
+    for bin in 1..=CALIBRATION_BINS {
+        let mut edge = bin * order.len() / CALIBRATION_BINS;
+        while edge > 0 && edge < order.len() && sigma_at(edge) == sigma_at(edge - 1) {
+            edge += 1;
+        }
+        if edge > *edges.last().expect("begins with one") {
+            edges.push(edge);
+        }
+    }
+    let bin = |places: Range<usize>| {
+        let count = places.len() as f64;
+        let root_mean_square = |values: &[f64]| -> f64 {
+            (order[places.clone()].iter().map(|&index| values[index as usize].powi(2)).sum::<f64>() / count).sqrt()
+        };
+        CalibrationBin { sigma: root_mean_square(sigma), error: root_mean_square(errors) }
+    };
+    edges.windows(2).map(|edges| bin(edges[0]..edges[1])).collect()
 }
 
 #[cfg(test)]
@@ -144,50 +257,54 @@ mod tests {
     use super::*;
     use crate::geometry::Tangent;
 
+    fn diagonal(variances: &[[f64; 6]]) -> Vec<Covariance6> {
+        variances.iter().map(|&variance| Covariance6::from_variances(&variance.into())).collect()
+    }
+
     #[test]
     fn a_standard_normal_error_under_its_own_variance_is_calibrated() {
         // Quantiles of the normal distribution would do; a symmetric pair has z² = 1 exactly.
-        let metrics = evaluate(&[[4.0; 6], [4.0; 6]], &[[2.0; 6], [-2.0; 6]]).unwrap();
+        let metrics = evaluate(&diagonal(&[[4.0; 6], [4.0; 6]]), &[[2.0; 6], [-2.0; 6]], None).unwrap();
         assert_relative_eq!(metrics.anees.unwrap(), 1.0);
         assert_eq!(metrics.zms, Some([1.0; 6]));
         assert_eq!(metrics.mde, [0.0; 6]);
+        assert_eq!((metrics.ence, metrics.spearman), (Some([0.0; 6]), [None; 6]));
         let expected = 0.5 * (6.0 * std::f64::consts::TAU.ln() + 6.0 * 4f64.ln() + 6.0);
         assert_relative_eq!(metrics.nll.unwrap(), expected, epsilon = 1e-12);
+        assert_relative_eq!(metrics.nll_by_component.unwrap().iter().sum::<f64>(), expected, epsilon = 1e-12);
     }
 
     #[test]
     fn a_full_covariance_scores_its_correlations() {
-        let diagonal = Covariance6::from_std_devs(&Tangent::new(0.1, 0.2, 0.3, 0.01, 0.02, 0.03));
+        let independent = Covariance6::from_std_devs(&Tangent::new(0.1, 0.2, 0.3, 0.01, 0.02, 0.03));
         let errors = [[0.05, -0.1, 0.2, 0.01, 0.0, -0.02], [0.0, 0.3, -0.1, 0.02, 0.01, 0.01]];
-        let full = evaluate_full(&[diagonal; 2], &errors).unwrap();
-        let plain = evaluate(&[diagonal.variance().into(); 2], &errors).unwrap();
-        assert_relative_eq!(full.nll.unwrap(), plain.nll.unwrap(), epsilon = 1e-12);
-        assert_relative_eq!(full.anees.unwrap(), plain.anees.unwrap(), epsilon = 1e-12);
+        let plain = evaluate(&[independent; 2], &errors, None).unwrap();
         // In other axes the matrix is full, and the likelihood of the error carried along is the same.
         let axes = crate::geometry::Pose::exp(&Tangent::new(1.0, 0.4, -0.3, 0.5, 0.2, -0.8));
         let moved = errors.map(|error| (axes.adjoint() * Tangent::from(error)).into());
-        let full = evaluate_full(&[diagonal.transported(&axes); 2], &moved).unwrap();
+        let full = evaluate(&[independent.transported(&axes); 2], &moved, None).unwrap();
         assert_relative_eq!(full.nll.unwrap(), plain.nll.unwrap(), epsilon = 1e-9);
-    }
-
-    #[test]
-    fn predictions_are_compared_with_true_variances() {
-        let truth = [[1.0; 6], [4.0; 6], [9.0; 6]];
-        let halved = truth.map(|row| row.map(|variance| variance / 4.0));
-        let comparison = AgainstTrue::compare(&halved, &truth).unwrap();
-        assert_relative_eq!(comparison.median_sigma_ratio[3], 0.5);
-        assert_relative_eq!(comparison.log_sigma_correlation[3].unwrap(), 1.0, epsilon = 1e-12);
-        let constant = AgainstTrue::compare(&[[1.0; 6]; 3], &truth).unwrap();
-        assert_eq!(constant.log_sigma_correlation, [None; 6]);
-        assert_eq!(AgainstTrue::compare(&[[0.0; 6]; 3], &truth), None);
+        assert_relative_eq!(full.anees.unwrap(), plain.anees.unwrap(), epsilon = 1e-9);
     }
 
     #[test]
     fn what_does_not_exist_is_none() {
-        let zero = evaluate(&[[0.0; 6]], &[[1.0; 6]]).unwrap();
-        assert_eq!((zero.nll, zero.anees, zero.mde), (None, None, [1.0; 6]));
-        let truth = evaluate(&[[0.25; 6]], &[[0.0; 6]]).unwrap();
-        assert_eq!((truth.nll, truth.coverage, truth.mde), (None, None, [0.5; 6]));
-        assert!(evaluate(&[], &[]).is_none());
+        let zero = evaluate(&diagonal(&[[0.0; 6]; 2]), &[[1.0; 6], [-3.0; 6]], None).unwrap();
+        assert_eq!((zero.nll, zero.anees, zero.zms, zero.ence), (None, None, None, None));
+        // The score of a prediction without spread is its absolute error.
+        assert_eq!((zero.mde, zero.crps), ([2.0; 6], Some([2.0; 6])));
+        let truth = evaluate(&diagonal(&[[1.0; 6]; 2]), &[[0.0; 6]; 2], None).unwrap();
+        assert_eq!((truth.nll, truth.crps, truth.coverage, truth.ause), (None, None, None, None));
+        assert_eq!(truth.sharpness, [1.0; 6]);
+        assert_eq!(evaluate(&[], &[], None), None);
+    }
+
+    #[test]
+    fn bins_hold_equal_counts_and_never_part_equal_sigmas() {
+        let sigma: Vec<f64> = (1..=20).map(f64::from).collect();
+        let bins = calibration_bins(&[2.0; 20], &sigma);
+        assert_eq!((bins.len(), bins[0]), (10, CalibrationBin { sigma: 2.5_f64.sqrt(), error: 2.0 }));
+        assert_eq!(calibration_bins(&[3.0; 20], &[1.0; 20]), [CalibrationBin { sigma: 1.0, error: 3.0 }]);
+        assert_eq!(calibration_bins(&[3.0; 4], &[1.0, 1.0, 1.0, 2.0]).len(), 2);
     }
 }

@@ -4,7 +4,7 @@
 use burn::tensor::Device;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::prediction::read_values;
 use super::ranks::spearman;
@@ -21,7 +21,7 @@ const PERTURBATIONS: usize = 8;
 const SIZE: [f64; 2] = [0.1, 10.0];
 
 /// Rank correlation of predicted σ with the size of the perturbation.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PerturbationResponse {
     /// Measurements made.
     pub pairs: usize,

@@ -4,14 +4,13 @@
 fn ranks(values: &[f64]) -> Vec<f64> {
     assert!(values.iter().all(|value| !value.is_nan()), "NaN has no rank");
     let mut order: Vec<usize> = (0..values.len()).collect();
-    order.sort_by(|&a, &b| values[a].total_cmp(&values[b]));
+    order.sort_unstable_by(|&a, &b| values[a].total_cmp(&values[b]));
     let mut ranks = vec![0.0; values.len()];
-    let mut first = 0;
-    while first < order.len() {
-        let equal = order[first..].iter().take_while(|&&index| values[index] == values[order[first]]).count();
-        let rank = first as f64 + 0.5 * (equal as f64 + 1.0);
-        order[first..first + equal].iter().for_each(|&index| ranks[index] = rank);
-        first += equal;
+    let mut before = 0;
+    for equal in order.chunk_by(|&a, &b| values[a] == values[b]) {
+        let rank = before as f64 + 0.5 * (equal.len() as f64 + 1.0);
+        equal.iter().for_each(|&index| ranks[index] = rank);
+        before += equal.len();
     }
     ranks
 }
@@ -54,6 +53,14 @@ pub(super) fn median(mut values: Vec<f64>) -> Option<f64> {
         _ if count % 2 == 1 => Some(values[middle]),
         _ => Some(0.5 * (values[middle - 1] + values[middle])),
     }
+}
+
+/// Quantile of sorted values, linear between neighbours (numpy's default).
+pub(super) fn quantile(sorted: &[f64], share: f64) -> f64 {
+    let position = share * (sorted.len() - 1) as f64;
+    let below = position.floor() as usize;
+    let above = (below + 1).min(sorted.len() - 1);
+    sorted[below] + (position - below as f64) * (sorted[above] - sorted[below])
 }
 
 #[cfg(test)]

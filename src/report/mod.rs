@@ -1,7 +1,14 @@
-//! Results for people: tables. Takes evaluations, never tensors.
+//! Results for people: tables, figures, one page. Takes evaluations, never tensors.
 
+mod comparison;
 mod contact_sheet;
+pub mod figures;
+mod html;
+mod scores;
 mod table;
 
+pub use comparison::{Comparison, Entry, Judged};
 pub use contact_sheet::{CONTACT_SHEET_COLUMNS, contact_sheet};
-pub use table::mde_table;
+pub use html::html_page;
+pub use scores::{Intervals, calibration_table, render_results, score_table, true_sigma_table};
+pub use table::{Better, Cell, Table, TableFormat, three_digits};

@@ -1,92 +1,194 @@
-//! The MDE table (paper Table II): systems by components, baselines beside, proper scores at the end.
+//! A table and its forms: text, Markdown, CSV, LaTeX.
 
-use comfy_table::{CellAlignment, Table, presets};
+use clap::ValueEnum;
+use comfy_table::{CellAlignment, presets};
 
-use crate::evaluation::{Evaluation, Metrics};
-
-/// Renders an evaluation as plain text; frame and units stand in the header.
-pub fn mde_table(evaluation: &Evaluation) -> String {
-    let mut table = Table::new();
-    table.load_style(presets::ASCII_MARKDOWN);
-    let components = evaluation.components.iter().zip(&evaluation.units).map(|(name, unit)| format!("{name} [{unit}]"));
-    let header = ["system", "method"].map(str::to_owned).into_iter().chain(components);
-    table.set_header(header.chain(["NLL", "ANEES"].map(str::to_owned)));
-    for (system, results) in &evaluation.systems {
-        for (method, metrics) in &results.methods {
-            table.add_row([system.clone(), (*method).to_owned()].into_iter().chain(cells(metrics)));
-        }
-    }
-    for column in table.column_iter_mut().skip(2) {
-        column.set_cell_alignment(CellAlignment::Right);
-    }
-    let mut text = String::new();
-    if let Some(comparison) = against_true_table(evaluation) {
-        text += &format!(
-            "\nagainst the true covariance: median of predicted / true sigma, and correlation of their logarithms\n{comparison}\n"
-        );
-        text += "oracle: the system's true covariance; it knows the scene and not the realised error, which the warp shows, so a model may beat it\n";
-    }
-    if let Some(separation) = &evaluation.separation {
-        let [first, second] = &separation.systems;
-        let ratios = separation.median_sigma_ratio.map(three_digits).join(" ");
-        text += &format!(
-            "\nmedian sigma of {first} / median sigma of {second} on the same images: {ratios}; AUROC of telling them apart by trace R: {:.3}\n",
-            separation.auroc
-        );
-    }
-    if let Some(response) = &evaluation.perturbation_response {
-        let correlation = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));
-        let components = response.spearman_by_component.map(correlation).join(" ");
-        text += &format!(
-            "identical images, pose exp(eps): rank correlation of sigma and |eps| {}; by component {components} ({} measurements)\n",
-            correlation(response.spearman),
-            response.pairs
-        );
-    }
-    let pairs: Vec<String> =
-        evaluation.systems.iter().map(|(name, results)| format!("{} {name}", results.pairs)).collect();
-    let note = "MDE alone is an improper score (a prediction of zero can win it): read it with NLL (lower is better) and ANEES (1 is calibrated).";
-    format!(
-        "MDE = median sqrt|R - e^2|, split {}, pairs: {}\nerror frame: {} ({}); e = {}\n{table}\n{note}\n{text}",
-        evaluation.split,
-        pairs.join(", "),
-        evaluation.error_frame.name(),
-        evaluation.error_frame.axes(),
-        evaluation.error,
-    )
+/// Form of a table.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum TableFormat {
+    /// For terminals; the best values bear a star.
+    #[default]
+    Text,
+    /// For pages; the best values are bold.
+    Markdown,
+    /// For programs; numbers in full.
+    Csv,
+    /// For papers (booktabs), methods side by side as in the paper's Table II; the best values are bold.
+    Latex,
 }
 
-/// Ratios and correlations of every method, where the data state true covariances.
-fn against_true_table(evaluation: &Evaluation) -> Option<Table> {
-    let mut table = Table::new();
-    table.load_style(presets::ASCII_MARKDOWN);
-    let columns =
-        |prefix: &str| evaluation.components.iter().map(|name| format!("{prefix} {name}")).collect::<Vec<_>>();
-    let header = ["system", "method"].map(str::to_owned).into_iter();
-    table.set_header(header.chain(columns("ratio")).chain(columns("corr.")));
-    for (system, results) in &evaluation.systems {
-        for (method, metrics) in &results.methods {
-            let Some(comparison) = &metrics.against_true else { continue };
-            let correlation = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));
-            let ratios = comparison.median_sigma_ratio.map(three_digits);
-            let correlations = comparison.log_sigma_correlation.map(correlation);
-            let names = [system.clone(), (*method).to_owned()];
-            table.add_row(names.into_iter().chain(ratios).chain(correlations));
+impl TableFormat {
+    /// The form that a file name asks for by its extension.
+    pub fn of_extension(extension: &str) -> Option<Self> {
+        match extension {
+            "txt" => Some(Self::Text),
+            "md" => Some(Self::Markdown),
+            "csv" => Some(Self::Csv),
+            "tex" => Some(Self::Latex),
+            _ => None,
         }
     }
-    for column in table.column_iter_mut().skip(2) {
-        column.set_cell_alignment(CellAlignment::Right);
-    }
-    (table.row_count() > 0).then_some(table)
 }
 
-fn cells(metrics: &Metrics) -> impl Iterator<Item = String> {
-    let scores = [metrics.nll, metrics.anees].map(|score| score.map_or("-".to_owned(), |score| format!("{score:.3}")));
-    metrics.mde.map(three_digits).into_iter().chain(scores)
+/// Rows of names, then values.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Table {
+    /// What it shows.
+    pub title: String,
+    /// Column names with units.
+    pub header: Vec<String>,
+    /// How many of the columns hold names.
+    pub names: usize,
+    /// Cells.
+    pub rows: Vec<Vec<Cell>>,
+}
+
+/// A cell.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Cell {
+    /// As shown to people; empty where there is nothing.
+    pub text: String,
+    /// The number behind it, for programs.
+    pub value: Option<f64>,
+    /// Whether it is the best of those it is compared with.
+    pub best: bool,
+}
+
+impl Cell {
+    /// A name.
+    pub fn name(text: impl Into<String>) -> Self {
+        Self { text: text.into(), ..Self::default() }
+    }
+}
+
+impl Table {
+    /// The table in a form, ending with a line break.
+    pub fn render(&self, format: TableFormat) -> String {
+        match format {
+            TableFormat::Text => {
+                self.grid(&|cell| if cell.best { format!("{}*", cell.text) } else { cell.text.clone() })
+            }
+            TableFormat::Markdown => format!(
+                "{}\n\n{}",
+                self.title,
+                self.grid(&|cell| if cell.best { format!("**{}**", cell.text) } else { cell.text.replace('|', "\\|") })
+            ),
+            TableFormat::Csv => self.csv(),
+            TableFormat::Latex => self.latex(),
+        }
+    }
+
+    fn grid(&self, show: &dyn Fn(&Cell) -> String) -> String {
+        let mut table = comfy_table::Table::new();
+        table.load_style(presets::ASCII_MARKDOWN);
+        table.set_header(&self.header);
+        for row in &self.rows {
+            table.add_row(row.iter().map(|cell| if cell.text.is_empty() { "-".to_owned() } else { show(cell) }));
+        }
+        for column in table.column_iter_mut().skip(self.names) {
+            column.set_cell_alignment(CellAlignment::Right);
+        }
+        format!("{table}\n")
+    }
+
+    fn csv(&self) -> String {
+        let mut writer = csv::Writer::from_writer(Vec::new());
+        let number = |cell: &Cell| cell.value.map_or(cell.text.clone(), |value| value.to_string());
+        let rows = self.rows.iter().map(|row| row.iter().map(number).collect());
+        for row in std::iter::once(self.header.clone()).chain(rows) {
+            writer.write_record(&row).expect("rows of one length in memory");
+        }
+        String::from_utf8(writer.into_inner().expect("in memory")).expect("text")
+    }
+
+    fn latex(&self) -> String {
+        let columns = "l".repeat(self.names) + &"r".repeat(self.header.len() - self.names);
+        let line = |cells: Vec<String>| format!("{} \\\\\n", cells.join(" & "));
+        let show = |cell: &Cell| match (cell.text.as_str(), cell.best) {
+            ("", _) => "--".to_owned(),
+            (text, true) => format!("\\textbf{{{}}}", escape_latex(text)),
+            (text, false) => escape_latex(text),
+        };
+        let mut text = format!("% {}\n\\begin{{tabular}}{{{columns}}}\n\\toprule\n", self.title.replace('\n', "\n% "));
+        text += &line(self.header.iter().map(|name| escape_latex(name)).collect());
+        for (index, row) in self.rows.iter().enumerate() {
+            // A rule wherever the first name changes.
+            if index == 0 || self.rows[index - 1][0] != row[0] {
+                text += "\\midrule\n";
+            }
+            text += &line(row.iter().map(show).collect());
+        }
+        text + "\\bottomrule\n\\end{tabular}\n"
+    }
+
+    /// Marks the best value of each column among the rows of each group (equal first name) that compete.
+    pub fn mark_best(&mut self, competes: impl Fn(&[Cell]) -> bool, better: &[Better]) {
+        for (offset, better) in better.iter().enumerate() {
+            let column = self.names + offset;
+            let mut first = 0;
+            while first < self.rows.len() {
+                let same = |row: &&Vec<Cell>| row[0] == self.rows[first][0];
+                let end = first + self.rows[first..].iter().take_while(same).count();
+                let rank =
+                    |row: &Vec<Cell>| row[column].value.filter(|_| competes(row)).and_then(|value| better.rank(value));
+                let ranks: Vec<Option<f64>> = self.rows[first..end].iter().map(rank).collect();
+                let best = ranks.iter().flatten().copied().fold(f64::INFINITY, f64::min);
+                // A single value is not the best of any.
+                if ranks.iter().flatten().count() > 1 {
+                    for (row, rank) in self.rows[first..end].iter_mut().zip(ranks) {
+                        row[column].best = rank == Some(best);
+                    }
+                }
+                first = end;
+            }
+        }
+    }
+}
+
+/// Which values are good.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Better {
+    /// Small ones.
+    Lower,
+    /// Large ones.
+    Higher,
+    /// Those near a target.
+    Near(f64),
+    /// Neither.
+    Neutral,
+}
+
+impl Better {
+    /// Smaller is better.
+    fn rank(self, value: f64) -> Option<f64> {
+        match self {
+            Self::Lower => Some(value),
+            Self::Higher => Some(-value),
+            Self::Near(target) => Some((value - target).abs()),
+            Self::Neutral => None,
+        }
+    }
+}
+
+fn escape_latex(text: &str) -> String {
+    let mut escaped = String::with_capacity(text.len());
+    for character in text.chars() {
+        match character {
+            '_' | '%' | '&' | '#' | '$' | '{' | '}' => escaped.extend(['\\', character]),
+            '\\' => escaped += "\\textbackslash{}",
+            '~' => escaped += "\\textasciitilde{}",
+            '^' => escaped += "\\textasciicircum{}",
+            '<' => escaped += "\\textless{}",
+            'σ' => escaped += "$\\sigma$",
+            '√' => escaped += "$\\surd$",
+            character => escaped.push(character),
+        }
+    }
+    escaped
 }
 
 /// Three significant digits, in powers of ten where decimals would run long.
-fn three_digits(value: f64) -> String {
+pub fn three_digits(value: f64) -> String {
     if value == 0.0 {
         return "0".to_owned();
     }
@@ -100,36 +202,31 @@ fn three_digits(value: f64) -> String {
 mod tests {
     use super::*;
 
-    #[test]
-    fn the_table_states_split_frame_units_and_baselines() {
-        let errors = [[0.04, -0.01, 0.02, 1e-3, -2e-4, 5e-6], [-0.02, 0.01, 0.0, 0.0, 3e-4, -4e-6]];
-        let metrics = |variance: f64| crate::evaluation::evaluate(&[[variance; 6]; 2], &errors).unwrap();
-        let system = |methods| crate::evaluation::SystemEvaluation { pairs: 2, methods };
-        let conventions = crate::geometry::Conventions::new(crate::geometry::ErrorFrame::Vehicle);
-        let evaluation = Evaluation {
-            schema: 1,
-            error: conventions.error,
-            error_frame: conventions.error_frame,
-            components: conventions.components,
-            units: conventions.units,
-            run: "run".to_owned(),
-            split: "test",
-            device: "flex".to_owned(),
-            unreadable_frames: Vec::new(),
-            separation: Some(crate::evaluation::Separation {
-                systems: ["vo", "gnss"].map(str::to_owned),
-                median_sigma_ratio: [2.0, 3.0, 4.0, 5.0, 6.0, 7.5],
-                auroc: 0.9876,
-            }),
-            perturbation_response: Some(crate::evaluation::PerturbationResponse {
-                pairs: 512,
-                spearman: Some(0.912),
-                spearman_by_component: [Some(0.5), None, Some(0.25), Some(0.5), Some(0.5), Some(0.5)],
-                median_sigma_by_third: [0.3, 0.6, 1.2],
-            }),
-            systems: vec![("vo".to_owned(), system(vec![("relcov", metrics(1e-4)), ("zero", metrics(0.0))]))],
+    fn table() -> Table {
+        let row = |method: &str, value: f64| {
+            vec![
+                Cell::name("vo"),
+                Cell::name(method),
+                Cell { text: three_digits(value), value: Some(value), best: false },
+            ]
         };
-        insta::assert_snapshot!(mde_table(&evaluation));
+        let rows = vec![
+            row("a_b", 0.25),
+            row("constant", 0.5),
+            row("zero", 0.0),
+            vec![Cell::name("gnss"), Cell::name("a_b"), Cell::default()],
+        ];
+        let header = ["system", "method", "x [m]"].map(str::to_owned).into();
+        let mut table = Table { title: "MDE".to_owned(), header, names: 2, rows };
+        table.mark_best(|row| row[1].text != "zero", &[Better::Lower]);
+        table
+    }
+
+    #[test]
+    fn one_table_has_four_forms() {
+        for format in [TableFormat::Text, TableFormat::Markdown, TableFormat::Csv, TableFormat::Latex] {
+            insta::assert_snapshot!(format!("{format:?}"), table().render(format));
+        }
     }
 
     #[test]

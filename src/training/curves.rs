@@ -7,6 +7,10 @@ use super::history::History;
 /// Size of the picture, px.
 const SIZE: (u32, u32) = (720, 420);
 
+/// Of the systems: told apart in grey too.
+const COLOURS: [RGBColor; 4] =
+    [RGBColor(20, 60, 130), RGBColor(222, 112, 20), RGBColor(90, 90, 90), RGBColor(60, 140, 90)];
+
 /// Height kept free above the curves for the legend, as a share of their range.
 const ROOM_FOR_LEGEND: f64 = 0.35;
 
@@ -52,10 +56,12 @@ fn draw(
         .x_desc("epoch")
         .y_desc("nats")
         .light_line_style(WHITE.mix(0.0))
-        .x_label_formatter(&|epoch| format!("{epoch:.0}"))
+        .x_labels(epochs.clamp(2, 12))
+        // A tick between two epochs has no name.
+        .x_label_formatter(&|epoch| if epoch.fract() == 0.0 { format!("{epoch:.0}") } else { String::new() })
         .draw()?;
     for (index, (name, dashed, losses)) in curves.iter().enumerate() {
-        let style = Palette99::pick(index / 2).stroke_width(2);
+        let style = COLOURS[index / 2 % COLOURS.len()].stroke_width(2);
         let points = losses.iter().enumerate().map(|(epoch, &loss)| (epoch as f64 + 1.0, loss));
         let series = if *dashed {
             chart.draw_series(DashedLineSeries::new(points, 6, 4, style))?

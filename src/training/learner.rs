@@ -24,7 +24,7 @@ use super::setup::{constant_loss, describe, watched_split, watched_system};
 use crate::config::Config;
 use crate::data::{BadFrame, BatchLoader, Choice, Dataset, LoadedBatch, PairReader, SplitName};
 use crate::error::{Error, Result};
-use crate::evaluation::{Prediction, mean_loss, predict_split, read_values, share_at_floor};
+use crate::evaluation::{Prediction, Recalibration, mean_loss, predict_split, read_values, share_at_floor};
 use crate::kernels::Adam;
 use crate::model::{Architecture, CovarianceModel, MicroBatch};
 use crate::systems::Mixer;
@@ -230,6 +230,7 @@ impl Learner {
         loop {
             if let Some(reason) = self.stop_reason() {
                 let best_epoch = self.history.best_epoch.expect("at least one epoch");
+                self.recalibrate(observer)?;
                 return Ok(Outcome { reason, epochs: self.history.rows.len(), best_epoch });
             }
             let epoch = self.history.rows.len() + 1;
@@ -339,20 +340,40 @@ impl Learner {
 
     /// Predictions of the watched split; an interrupt ends them, and a resumed run makes them anew.
     fn predict_watched(&self, observer: &mut dyn FnMut(Event)) -> Result<Vec<Prediction>> {
-        let split = self.dataset.split(watched_split(&self.config));
+        self.predict(&self.model().valid(), watched_split(&self.config), &self.watched_reader, observer)
+    }
+
+    /// Fits the factors on variances of the best model to the validation split, where there is one.
+    fn recalibrate(&self, observer: &mut dyn FnMut(Event)) -> Result<()> {
+        if self.dataset.validation.pairs.is_empty() {
+            return Ok(());
+        }
+        let model = self.run.load_model(&self.run.manifest()?, &self.device)?;
+        let reader = match watched_split(&self.config) {
+            SplitName::Validation => self.watched_reader.clone(),
+            _ => Arc::new(PairReader::new(&self.config, &self.dataset, SplitName::Validation)),
+        };
+        let predictions = self.predict(&model, SplitName::Validation, &reader, observer)?;
+        match Recalibration::fit(&predictions, &self.dataset.systems, SplitName::Validation.name()) {
+            Some(recalibration) => self.run.write_recalibration(&recalibration),
+            None => Ok(()),
+        }
+    }
+
+    fn predict(
+        &self,
+        model: &CovarianceModel,
+        split: SplitName,
+        reader: &Arc<PairReader>,
+        observer: &mut dyn FnMut(Event),
+    ) -> Result<Vec<Prediction>> {
+        let split = self.dataset.split(split);
         let pairs = split.pairs.len();
         let mut progress = |done| {
             observer(Event::Evaluation { done, pairs });
             self.stop_if_interrupted()
         };
-        predict_split(
-            &self.model().valid(),
-            &self.watched_reader,
-            split,
-            &self.config.training,
-            &self.device,
-            &mut progress,
-        )
+        predict_split(model, reader, split, &self.config.training, &self.device, &mut progress)
     }
 
     fn stop_reason(&self) -> Option<StopReason> {

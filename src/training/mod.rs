@@ -16,4 +16,4 @@ pub use divergence::DivergenceRule;
 pub use history::{EpochRow, History};
 pub use learner::{Event, Learner, Outcome, StopReason};
 pub use manifest::{Manifest, SystemSummary};
-pub use run_folder::RunFolder;
+pub use run_folder::{EVALUATION, FIGURES, LOSSES, PAIRS, RunFolder};

@@ -7,6 +7,7 @@
 //!   metrics.csv         one row an epoch
 //!   losses.svg          the same as a picture
 //!   model.safetensors   weights of the best epoch
+//!   recalibration.json  factors on its variances, fitted to the validation split
 //!   state-B-E/          after B mini-batches and E epochs: weights, optimiser, history (the newest only)
 //! ```
 //!
@@ -24,6 +25,7 @@ use super::history::History;
 use super::manifest::{LAYOUT, Manifest};
 use crate::config::Config;
 use crate::error::{Error, Place, Result};
+use crate::evaluation::Recalibration;
 use crate::files::{put_in_place, read_text, write_atomically};
 use crate::geometry::Conventions;
 use crate::model::{Architecture, CovarianceModel};
@@ -31,7 +33,8 @@ use crate::model::{Architecture, CovarianceModel};
 const CONFIG: &str = "config.toml";
 const MANIFEST: &str = "manifest.json";
 const METRICS: &str = "metrics.csv";
-const LOSSES: &str = "losses.svg";
+/// The losses of a run as a picture.
+pub const LOSSES: &str = "losses.svg";
 const MODEL: &str = "model.safetensors";
 const STATE_PREFIX: &str = "state-";
 const PARTIAL: &str = ".partial";
@@ -40,8 +43,15 @@ const STATE_OPTIMISER: &str = "optimiser.bpk";
 const STATE_HISTORY: &str = "history.json";
 /// Tensors Adam keeps for each weight: first and second moment.
 const ADAM_MOMENTS: usize = 2;
-/// What an evaluation leaves in the folder.
-const RESULTS: [&str; 2] = ["evaluation.json", "pairs.csv"];
+/// What an evaluation leaves in the folder: its scores.
+pub const EVALUATION: &str = "evaluation.json";
+/// The measurements behind it.
+pub const PAIRS: &str = "pairs.csv";
+/// Folder of its figures.
+pub const FIGURES: &str = "figures";
+const RECALIBRATION: &str = "recalibration.json";
+/// What belongs to one state of the model, and not to the next.
+const RESULTS: [&str; 3] = [EVALUATION, PAIRS, RECALIBRATION];
 
 /// A run folder on disk.
 #[derive(Clone, Debug)]
@@ -174,6 +184,14 @@ impl RunFolder {
         })?;
         put_in_place(&temporary, &path)?;
         // Results of an earlier model are not this one's.
+        self.remove_results()
+    }
+
+    fn remove_results(&self) -> Result<()> {
+        let figures = self.path.join(FIGURES);
+        if figures.is_dir() {
+            std::fs::remove_dir_all(&figures).map_err(Error::io("remove", &figures))?;
+        }
         RESULTS
             .map(|file| self.path.join(file))
             .iter()
@@ -211,6 +229,35 @@ impl RunFolder {
             return Err(Error::malformed(&path, Place::Whole, first_line(&applied.to_string()), expected()));
         }
         Ok(model)
+    }
+
+    /// Keeps the factors that make the best model's variances right.
+    ///
+    /// # Errors
+    /// They cannot be written.
+    pub fn write_recalibration(&self, recalibration: &Recalibration) -> Result<()> {
+        let json = serde_json::to_string_pretty(recalibration).expect("a recalibration is JSON");
+        write_atomically(&self.path.join(RECALIBRATION), json.as_bytes())
+    }
+
+    /// Those factors; `None` where none were fitted.
+    ///
+    /// # Errors
+    /// They are unreadable, or no factors.
+    pub fn recalibration(&self) -> Result<Option<Recalibration>> {
+        let path = self.path.join(RECALIBRATION);
+        if !path.exists() {
+            return Ok(None);
+        }
+        let expected = "six positive factors; `relcov eval --recalibrate` fits them anew";
+        let recalibration: Recalibration = serde_json::from_str(&read_text(&path)?)
+            .map_err(|error| Error::malformed(&path, Place::Line(error.line()), error.to_string(), expected))?;
+        let usable = recalibration.factors.iter().all(|factor| factor.is_finite() && *factor > 0.0);
+        if !usable {
+            let found = format!("{:?}", recalibration.factors);
+            return Err(Error::malformed(&path, Place::Field("factors".to_owned()), found, expected));
+        }
+        Ok(Some(recalibration))
     }
 
     /// Saves everything a resumed run needs, then the tables people read, then drops older states.
@@ -357,7 +404,8 @@ impl RunFolder {
         for folder in self.states()?.into_iter().chain(self.partial_states()?) {
             std::fs::remove_dir_all(&folder).map_err(Error::io("remove", &folder))?;
         }
-        for file in RESULTS.into_iter().chain([METRICS, LOSSES, MODEL, CONFIG, MANIFEST]) {
+        self.remove_results()?;
+        for file in [METRICS, LOSSES, MODEL, CONFIG, MANIFEST] {
             let path = self.path.join(file);
             if path.exists() {
                 std::fs::remove_file(&path).map_err(Error::io("remove", &path))?;

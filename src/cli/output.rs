@@ -1,0 +1,85 @@
+//! Where results go: the table on stdout, and files on request.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+
+use super::{Terminal, print_result, progress::note};
+use crate::error::{Error, Result};
+use crate::evaluation::write_pairs;
+use crate::files::write_atomically;
+use crate::report::{Comparison, Intervals, TableFormat, figures, render_results};
+
+/// Arguments of results.
+#[derive(Args)]
+pub struct OutputArguments {
+    /// Form of the table on stdout
+    #[arg(long, value_enum, default_value = "text", value_name = "FORM")]
+    format: TableFormat,
+    /// Show block-bootstrap intervals
+    #[arg(long)]
+    intervals: bool,
+    /// Write the table to a file: .txt, .md, .csv or .tex
+    #[arg(long, value_name = "FILE")]
+    save_table: Option<PathBuf>,
+    /// Write all figures into a folder, as SVG and PNG
+    #[arg(long, value_name = "FOLDER")]
+    save_plot: Option<PathBuf>,
+    /// Write scores to a .json file and the measurements behind them to a .csv beside it
+    #[arg(long, value_name = "FILE")]
+    save_results: Option<PathBuf>,
+}
+
+impl OutputArguments {
+    /// Finds out before the work whether its results can be written.
+    pub fn check(&self) -> Result<()> {
+        if let Some(path) = &self.save_table {
+            table_format(path)?;
+        }
+        if let Some(path) = &self.save_results
+            && path.extension().is_none_or(|extension| extension != "json")
+        {
+            return Err(Error::Data(format!("--save-results {}: the file's name must end in .json", path.display())));
+        }
+        for path in [&self.save_table, &self.save_results].into_iter().flatten() {
+            let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+            std::fs::create_dir_all(folder).map_err(Error::io("create the folder", folder))?;
+        }
+        if let Some(folder) = &self.save_plot {
+            std::fs::create_dir_all(folder).map_err(Error::io("create the folder", folder))?;
+        }
+        Ok(())
+    }
+
+    /// Prints the table and writes what was asked for. The table first: a folder that cannot be written must
+    /// not cost it.
+    pub fn deliver(&self, comparison: &Comparison, terminal: &Terminal) -> anyhow::Result<()> {
+        let intervals = if self.intervals { Intervals::Shown } else { Intervals::Hidden };
+        print_result(&render_results(comparison, self.format, intervals))?;
+        let wrote = |path: &Path| note(terminal.quiet, &format!("wrote {}", path.display()));
+        if let Some(path) = &self.save_table {
+            write_atomically(path, render_results(comparison, table_format(path)?, intervals).as_bytes())?;
+            wrote(path);
+        }
+        if let Some(path) = &self.save_results {
+            let [entry] = comparison.entries.as_slice() else {
+                return Err(Error::Data("--save-results takes one result, not several; give one run".to_owned()).into());
+            };
+            entry.evaluation.write(path)?;
+            write_pairs(&path.with_extension("csv"), &entry.table)?;
+            wrote(path);
+        }
+        if let Some(folder) = &self.save_plot {
+            let count = figures::write_figures(comparison, folder)?;
+            note(terminal.quiet, &format!("wrote {count} figures into {}", folder.display()));
+        }
+        Ok(())
+    }
+}
+
+fn table_format(path: &Path) -> Result<TableFormat> {
+    let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
+    TableFormat::of_extension(extension).ok_or_else(|| {
+        Error::Data(format!("--save-table {}: the file's name must end in .txt, .md, .csv or .tex", path.display()))
+    })
+}

@@ -1,0 +1,44 @@
+//! `relcov report`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::Terminal;
+use super::output::OutputArguments;
+use super::progress::note;
+use crate::error::Result;
+use crate::files::write_atomically;
+use crate::report::{Comparison, Entry, html_page};
+
+/// Arguments of `relcov report`.
+#[derive(Args)]
+#[command(after_help = "Examples:
+  relcov report checkpoints/synthetic
+  relcov report checkpoints/synthetic checkpoints/ablation_* --html report.html
+  relcov report before.json after.json --intervals --format markdown
+  relcov report checkpoints/kitti --save-table table.tex --save-plot figures
+
+A result is a run folder that `relcov eval` has been run on, or a file written by --save-results.")]
+pub struct ReportArguments {
+    /// Results to set side by side
+    #[arg(required = true, value_name = "RUN")]
+    results: Vec<PathBuf>,
+    /// Write one self-contained page with tables, figures, configurations and conventions
+    #[arg(long, value_name = "FILE")]
+    html: Option<PathBuf>,
+    #[command(flatten)]
+    output: OutputArguments,
+}
+
+pub fn run(arguments: &ReportArguments, terminal: &Terminal) -> anyhow::Result<()> {
+    arguments.output.check()?;
+    let entries = arguments.results.iter().map(|path| Entry::load(path)).collect::<Result<Vec<_>>>()?;
+    let comparison = Comparison::new(entries)?;
+    arguments.output.deliver(&comparison, terminal)?;
+    if let Some(path) = &arguments.html {
+        write_atomically(path, html_page(&comparison)?.as_bytes())?;
+        note(terminal.quiet, &format!("wrote {}", path.display()));
+    }
+    Ok(())
+}

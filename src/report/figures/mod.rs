@@ -1,0 +1,162 @@
+//! Figures of results, drawn once as SVG and rasterised for PNG: those of the paper, calibration, and what
+//! σ follows. All from the measurements of a [`Comparison`], none from tensors.
+
+mod canvas;
+mod coverage;
+mod dispersion;
+mod nees;
+mod raster;
+mod reliability;
+mod sequence;
+mod sparsification;
+mod speed;
+
+use std::path::Path;
+
+use super::comparison::{Comparison, Judged};
+use crate::error::{Error, Result};
+use crate::evaluation::{Method, SystemPairs};
+use crate::files::{read_text, write_atomically};
+use crate::geometry::Covariance6;
+use crate::training::LOSSES;
+
+pub use raster::to_png;
+
+/// What drawing may run into.
+type Drawing<T> = std::result::Result<T, Box<dyn std::error::Error>>;
+
+/// A picture with its place in a report.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Figure {
+    /// File name without extension.
+    pub name: String,
+    /// What it shows and how to read it.
+    pub caption: String,
+    /// The picture.
+    pub svg: String,
+}
+
+/// A method's numbers for one system, ready to draw.
+struct Series<'a> {
+    /// Name in legends.
+    label: String,
+    method: Method,
+    pairs: &'a SystemPairs,
+    covariances: Vec<Covariance6>,
+}
+
+impl Series<'_> {
+    fn sigma(&self, component: usize) -> Vec<f64> {
+        self.covariances.iter().map(|covariance| covariance.matrix()[(component, component)].sqrt()).collect()
+    }
+
+    fn errors(&self, component: usize) -> Vec<f64> {
+        self.pairs.rows.iter().map(|row| row.error[component]).collect()
+    }
+}
+
+/// The methods of a system that a condition keeps.
+fn series<'a>(comparison: &'a Comparison, system: &str, keep: impl Fn(&Judged) -> bool) -> Vec<Series<'a>> {
+    let methods = comparison.methods(system).into_iter().filter(|(_, judged)| keep(judged));
+    methods
+        .map(|(label, judged)| Series {
+            label,
+            method: judged.method,
+            pairs: judged.entry.table.systems.iter().find(|pairs| pairs.name == system).expect("it was judged"),
+            covariances: judged.covariances(system),
+        })
+        .collect()
+}
+
+/// Predictions, and the baselines worth comparing them with.
+fn is_drawn(judged: &Judged) -> bool {
+    !matches!(judged.method, Method::Zero | Method::ConstantMad | Method::Uncalibrated | Method::Oracle)
+}
+
+/// Draws every figure that the results allow.
+///
+/// # Errors
+/// A run's loss curves cannot be read.
+pub fn draw_figures(comparison: &Comparison) -> Result<Vec<Figure>> {
+    let mut figures = Vec::new();
+    let mut add = |name: String, caption: String, drawn: Drawing<Option<String>>| match drawn {
+        Ok(Some(svg)) => figures.push(Figure { name, caption, svg }),
+        Ok(None) => {}
+        Err(error) => tracing::warn!("figure {name} could not be drawn: {error}"),
+    };
+    add(
+        "sequence".to_owned(),
+        "Predicted σ (line) over |e| (dots) along the sequence, each system and method (paper Fig. 3). A good line follows the upper edge of most dots.".to_owned(),
+        sequence::draw(comparison),
+    );
+    for system in comparison.systems() {
+        let named = |figure: &str| format!("{figure}_{system}");
+        add(
+            named("dispersion"),
+            format!(
+                "{system}: dispersion errors √|R − e²| (paper Fig. 4): boxes from the lower to the upper quartile, line at the median (MDE), whiskers from 5 to 95 %. An improper score: a prediction of zero can win it."
+            ),
+            dispersion::draw(comparison, system),
+        );
+        add(
+            named("reliability"),
+            format!(
+                "{system}: errors (RMSE) where σ is small and where it is large, ten bins of equal count. Calibrated predictions lie on the diagonal; below it they are too large."
+            ),
+            reliability::draw(comparison, system),
+        );
+        add(
+            named("coverage"),
+            format!("{system}: share of errors within 1, 2 and 3 σ. Calibrated predictions reach the lines."),
+            coverage::draw(comparison, system),
+        );
+        add(
+            named("sparsification"),
+            format!(
+                "{system}: mean |e| of the pairs that are left when those of the largest σ are left out first. The nearer to the dotted line (by |e| itself) the better σ ranks errors; a constant stays at 1."
+            ),
+            sparsification::draw(comparison, system),
+        );
+        add(
+            named("nees"),
+            format!(
+                "{system}: normalised errors eᵀR⁻¹e along the sequence. Calibrated ones lie within the band (95 % of χ² with 6 degrees of freedom) 95 % of the time; line: running mean, which should be 6."
+            ),
+            nees::draw(comparison, system),
+        );
+        add(
+            named("speed"),
+            format!("{system}: predicted σ against measured speed; lines: medians of bins of equal count."),
+            speed::draw(comparison, system),
+        );
+    }
+    for entry in &comparison.entries {
+        let Some(path) = entry.folder.as_ref().map(|folder| folder.join(LOSSES)).filter(|path| path.is_file()) else {
+            continue;
+        };
+        figures.push(Figure {
+            name: format!("losses_{}", entry.name),
+            caption: format!("{}: loss over the epochs of its training; dashed: on the watched pairs.", entry.name),
+            svg: read_text(&path)?,
+        });
+    }
+    Ok(figures)
+}
+
+/// Writes every figure into a folder as SVG and PNG; how many there are.
+///
+/// # Errors
+/// A file cannot be written.
+pub fn write_figures(comparison: &Comparison, folder: &Path) -> Result<usize> {
+    std::fs::create_dir_all(folder).map_err(Error::io("create the folder", folder))?;
+    let figures = draw_figures(comparison)?;
+    for figure in &figures {
+        write_atomically(&folder.join(format!("{}.svg", figure.name)), figure.svg.as_bytes())?;
+        let png = folder.join(format!("{}.png", figure.name));
+        let pixels = to_png(&figure.svg).map_err(|problem| {
+            Error::malformed(&png, crate::error::Place::Whole, problem, "a picture that can be drawn")
+        })?;
+        write_atomically(&png, &pixels)?;
+    }
+    Ok(figures.len())
+}
