@@ -13,7 +13,7 @@ use crate::data::{BadFrame, Dataset, PairReader, PairScope, SplitName};
 use crate::device::{device_name, open_device};
 use crate::error::Error;
 use crate::evaluation::{
-    Baselines, Evaluation, Method, Origin, PairTable, Prediction, Recalibration, evaluate_table, perturbation_response,
+    Baselines, Evaluation, Origin, PairTable, Prediction, Recalibration, evaluate_table, perturbation_response,
     predict_split, read_pairs, write_pairs,
 };
 use crate::geometry::ErrorFrame;
@@ -42,7 +42,7 @@ pub struct EvalArguments {
     /// Run folder of a trained model
     #[arg(long, value_name = "RUN")]
     run: Option<PathBuf>,
-    /// Judge the baselines alone; needs measured and true poses, no image
+    /// Judge the baselines alone, fitted to all training drives; needs measured and true poses, no image
     #[arg(long, requires = "config")]
     baselines_only: bool,
     /// Judge predictions in a CSV file (columns below)
@@ -103,7 +103,7 @@ pub fn run(arguments: EvalArguments, terminal: &Terminal) -> anyhow::Result<()> 
             };
             evaluate_file(pairs, arguments.fit.as_deref(), frame)?
         }
-        (_, _, Some(config)) => evaluate_baselines(&arguments.overrides.load(config)?, config, split)?,
+        (_, _, Some(config)) => evaluate_baselines(arguments.overrides.load(config)?, config, split)?,
         (None, None, None) => unreachable!("clap requires one of them"),
     };
     let comparison = Comparison::new(vec![entry])?;
@@ -195,7 +195,7 @@ pub fn evaluate_run(
     let bad_frames = reader.bad_frames();
     let origin = Origin {
         run: run_path.display().to_string(),
-        predicted: RELCOV.to_owned(),
+        predicted: Some(RELCOV.to_owned()),
         split: split.name().to_owned(),
         device: device_name(&device),
         unreadable_frames: bad_frames.iter().map(describe).collect(),
@@ -241,8 +241,12 @@ fn report_gaps(evaluation: &Evaluation, table: &PairTable, terminal: &Terminal) 
 }
 
 /// The baselines, fitted to the training split, on another one; poses alone.
-fn evaluate_baselines(config: &Config, path: &Path, split: SplitName) -> anyhow::Result<Entry> {
-    let dataset = Dataset::load(config, PairScope::Poses)?;
+fn evaluate_baselines(mut config: Config, path: &Path, split: SplitName) -> anyhow::Result<Entry> {
+    if split != SplitName::Validation {
+        // A baseline has no epochs to choose from: it learns from what a training would hold out.
+        config.data.validation_fraction = 0.0;
+    }
+    let dataset = Dataset::load(&config, PairScope::Poses)?;
     let fitted: Vec<(String, Baselines)> = dataset
         .systems
         .iter()
@@ -251,9 +255,9 @@ fn evaluate_baselines(config: &Config, path: &Path, split: SplitName) -> anyhow:
         .collect();
     dataset.require(SplitName::Train)?;
     let table = PairTable::from_split(dataset.require(split)?, &dataset, config.data.error_frame);
-    let origin = origin_of_file(path, Method::Constant.name(RELCOV), split.name());
+    let origin = origin_of_file(path, None, split.name());
     let evaluation = evaluate_table(&table, &fitted, origin)?;
-    Ok(Entry { name: config.name.clone(), evaluation, table, folder: None })
+    Ok(Entry { name: config.name, evaluation, table, folder: None })
 }
 
 /// Predictions that another program made.
@@ -267,11 +271,11 @@ fn evaluate_file(pairs: &Path, fit: Option<&Path>, frame: ErrorFrame) -> anyhow:
         }
     };
     let name = pairs.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let evaluation = evaluate_table(&table, &fitted, origin_of_file(pairs, name.clone(), "given"))?;
+    let evaluation = evaluate_table(&table, &fitted, origin_of_file(pairs, Some(name.clone()), "given"))?;
     Ok(Entry { name, evaluation, table, folder: None })
 }
 
-fn origin_of_file(path: &Path, predicted: String, split: &str) -> Origin {
+fn origin_of_file(path: &Path, predicted: Option<String>, split: &str) -> Origin {
     Origin {
         run: path.display().to_string(),
         predicted,

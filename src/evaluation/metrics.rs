@@ -129,8 +129,10 @@ pub(super) fn evaluate_over(
     let z_squared: Option<[Vec<f64>; 6]> = joint.is_some().then(|| {
         std::array::from_fn(|c| error[c].iter().zip(&sigma[c]).map(|(e, sigma)| (e / sigma).powi(2)).collect())
     });
-    let dispersion: [Vec<f64>; 6] =
-        std::array::from_fn(|c| error[c].iter().zip(&sigma[c]).map(|(e, s)| (s * s - e * e).abs().sqrt()).collect());
+    let dispersion: [Vec<f64>; 6] = std::array::from_fn(|c| {
+        let pairs = covariances.iter().zip(&error[c]);
+        pairs.map(|(covariance, e)| (covariance.matrix()[(c, c)] - e * e).abs().sqrt()).collect()
+    });
     let mde_interval = resamples.map(|resamples| resamples.median_intervals(&dispersion));
     let sorted = dispersion.map(|mut values| {
         values.sort_unstable_by(f64::total_cmp);

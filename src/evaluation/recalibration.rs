@@ -1,10 +1,14 @@
 //! One factor a component that makes predicted variances right on average over held-out pairs (temperature
 //! scaling; Laves et al. 2020).
 
+use nalgebra::{Matrix6, Vector6};
 use serde::{Deserialize, Serialize};
 
 use super::prediction::Prediction;
 use crate::geometry::Covariance6;
+
+/// Passes over the components of a fit; some 20 are usual.
+const MOST_SWEEPS: usize = 1000;
 
 /// Factors on variances, fitted to pairs that the weights did not learn from.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -20,14 +24,13 @@ pub struct Recalibration {
 }
 
 impl Recalibration {
-    /// The most likely factors, the mean z² of each component, over all systems with errors; `None` without any.
+    /// The most likely factors over all systems with errors; `None` without any. For diagonal covariances the
+    /// mean z² of each component.
     pub fn fit(predictions: &[Prediction], systems: &[String], split: &str) -> Option<Self> {
         let wrong = |system: &usize| predictions.iter().any(|row| row.system == *system && row.error != [0.0; 6]);
         let used: Vec<usize> = (0..systems.len()).filter(wrong).collect();
         let rows: Vec<&Prediction> = predictions.iter().filter(|row| used.contains(&row.system)).collect();
-        let mean_z_squared =
-            |c: usize| rows.iter().map(|row| row.error[c].powi(2) / row.variance()[c]).sum::<f64>() / rows.len() as f64;
-        let factors: [f64; 6] = std::array::from_fn(mean_z_squared);
+        let factors = most_likely_factors(&rows)?;
         factors.iter().all(|factor| factor.is_finite() && *factor > 0.0).then(|| Self {
             factors,
             split: split.to_owned(),
@@ -42,8 +45,36 @@ impl Recalibration {
     }
 }
 
+/// Minimises `−2 Σ ln t + tᵀAt` over `t = s^(−½)`, A the mean of `D(e) R⁻¹ D(e)`: the likelihood of the errors
+/// under `D(√s) R D(√s)`. It is convex; each component in turn has a solution in closed form.
+fn most_likely_factors(rows: &[&Prediction]) -> Option<[f64; 6]> {
+    let mut quadratic = Matrix6::zeros();
+    for row in rows {
+        let error = Matrix6::from_diagonal(&Vector6::from(row.error));
+        quadratic += error * row.covariance.matrix().cholesky()?.inverse() * error / rows.len() as f64;
+    }
+    if (0..6).any(|c| quadratic[(c, c)].is_nan() || quadratic[(c, c)] <= 0.0) {
+        return None;
+    }
+    let mut t = Vector6::from_fn(|c, _| quadratic[(c, c)].sqrt().recip());
+    for _ in 0..MOST_SWEEPS {
+        let before = t;
+        for c in 0..6 {
+            let own = quadratic[(c, c)];
+            let beside = quadratic.row(c).transpose().dot(&t) - own * t[c];
+            t[c] = 2.0 / (beside + (beside * beside + 4.0 * own).sqrt());
+        }
+        if (t - before).abs().max() <= 1e-12 * t.max() {
+            break;
+        }
+    }
+    Some(t.map(|t| t.powi(-2)).into())
+}
+
 #[cfg(test)]
 mod tests {
+    use rand::{RngExt, SeedableRng};
+
     use super::*;
     use crate::data::PairId;
     use crate::evaluation::evaluate;
@@ -57,6 +88,31 @@ mod tests {
             covariance: Covariance6::from_variances(&Tangent::repeat(variance)),
             motion: Tangent::zeros(),
             stated_covariance: None,
+        }
+    }
+
+    #[test]
+    fn correlated_components_are_scaled_together() {
+        // Errors drawn with a covariance that is scaled component by component away from the predicted one.
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(4);
+        let lower = Matrix6::from_fn(|row, column| match row.cmp(&column) {
+            std::cmp::Ordering::Less => 0.0,
+            std::cmp::Ordering::Equal => 1.0,
+            std::cmp::Ordering::Greater => 0.8,
+        });
+        let covariance = Covariance6::from_factors(&lower, &Vector6::zeros());
+        let factors = [0.5, 2.0, 1.0, 4.0, 0.25, 1.5];
+        let rows: Vec<Prediction> = (0..20_000)
+            .map(|frame| {
+                // A uniform variable on ±√3 has variance 1.
+                let normal = Vector6::from_fn(|_, _| 3f64.sqrt() * random.random_range(-1.0..1.0));
+                let error = (lower * normal).component_mul(&Vector6::from(factors.map(f64::sqrt)));
+                Prediction { error: error.into(), covariance, ..prediction(0, frame, 0.0, 1.0) }
+            })
+            .collect();
+        let fitted = Recalibration::fit(&rows, &["vo".to_owned()], "validation").unwrap();
+        for (found, expected) in fitted.factors.iter().zip(factors) {
+            assert!((found / expected - 1.0).abs() < 0.03, "{:?} against {factors:?}", fitted.factors);
         }
     }
 

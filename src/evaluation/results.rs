@@ -55,8 +55,8 @@ pub struct Evaluation {
 pub struct Origin {
     /// Run folder, or file of predictions.
     pub run: String,
-    /// Name of the predictions among methods.
-    pub predicted: String,
+    /// Name of the predictions among methods; `None` for baselines alone.
+    pub predicted: Option<String>,
     /// Split.
     pub split: String,
     /// Backend.
@@ -143,7 +143,7 @@ fn evaluate_system(system: &SystemPairs, baselines: Option<&Baselines>, origin: 
         if method == Method::Predicted {
             metrics.at_floor = origin.log_variance_floor.map(|floor| share_at(&covariances, recalibration, &floor));
         }
-        Some((method.name(&origin.predicted), metrics))
+        Some((method.name(origin.predicted.as_deref().unwrap_or("predicted")), metrics))
     };
     let methods: Vec<Option<(String, Metrics)>> = Method::ALL.par_iter().map(evaluate_method).collect();
     Ok(SystemEvaluation {
@@ -239,7 +239,7 @@ mod tests {
     fn origin() -> Origin {
         Origin {
             run: "run".to_owned(),
-            predicted: "relcov".to_owned(),
+            predicted: Some("relcov".to_owned()),
             split: "test".to_owned(),
             device: "flex".to_owned(),
             unreadable_frames: Vec::new(),

@@ -44,7 +44,7 @@ impl Covariance6 {
         if smallest < -1e-9 * scale {
             return Err(CovarianceError::NegativeVariance(smallest));
         }
-        Ok(Self(0.5 * (matrix + matrix.transpose())))
+        Ok(Self(symmetric(&matrix)))
     }
 
     /// `R = D(exp(d))` (paper, below Eq. 6).
@@ -54,8 +54,7 @@ impl Covariance6 {
 
     /// `R = L D(exp(d)) Lᵀ`, L unit lower triangular.
     pub fn from_factors(lower: &Matrix6<f64>, log_variance: &Vector6<f64>) -> Self {
-        let product = lower * Matrix6::from_diagonal(&log_variance.map(f64::exp)) * lower.transpose();
-        Self(0.5 * (product + product.transpose()))
+        Self(symmetric(&(lower * Matrix6::from_diagonal(&log_variance.map(f64::exp)) * lower.transpose())))
     }
 
     /// A diagonal covariance from variances, m² and rad².
@@ -115,7 +114,7 @@ impl Covariance6 {
     /// The same error in other axes: `Σ' = Ad_X Σ Ad_Xᵀ` with `X = other_from_self`.
     pub fn transported(&self, other_from_self: &Pose) -> Self {
         let adjoint = other_from_self.adjoint();
-        Self(adjoint * self.0 * adjoint.transpose())
+        Self(symmetric(&(adjoint * self.0 * adjoint.transpose())))
     }
 
     /// The covariance of the right perturbation of the same measurement: `Ad_{T⁻¹} Σ Ad_{T⁻¹}ᵀ`,
@@ -123,6 +122,11 @@ impl Covariance6 {
     pub fn right_of(&self, source_from_target: &Pose) -> Self {
         self.transported(&source_from_target.inverse())
     }
+}
+
+/// Without the asymmetry of rounding.
+fn symmetric(matrix: &Matrix6<f64>) -> Matrix6<f64> {
+    0.5 * (matrix + matrix.transpose())
 }
 
 #[cfg(test)]

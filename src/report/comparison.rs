@@ -137,9 +137,13 @@ impl Comparison {
         for method in Method::ALL {
             for entry in &self.entries {
                 let Some(evaluated) = entry.evaluation.systems.get(system) else { continue };
-                let predicted = &entry.evaluation.origin.predicted;
-                let Some(metrics) = evaluated.methods.get(&method.name(predicted)) else { continue };
                 let own = matches!(method, Method::Predicted | Method::Uncalibrated);
+                let predicted = match &entry.evaluation.origin.predicted {
+                    Some(name) => name,
+                    None if own => continue,
+                    None => &entry.name,
+                };
+                let Some(metrics) = evaluated.methods.get(&method.name(predicted)) else { continue };
                 let base = method.name(if self.entries.len() > 1 { &entry.name } else { predicted });
                 let twin = found.iter().any(|(_, other)| other.method == method && other.metrics == metrics);
                 let clash = found.iter().any(|(_, other)| other.method == method);

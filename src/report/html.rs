@@ -7,7 +7,7 @@ use super::figures::{Figure, draw_figures};
 use super::scores::{
     Intervals, calibration_table, crps_table, notes, preface, score_table, separation_table, true_sigma_table,
 };
-use super::table::Table;
+use super::table::{Cell, Table};
 use crate::error::Result;
 use crate::files::read_text;
 use crate::geometry::Conventions;
@@ -27,7 +27,7 @@ pub fn html_page(comparison: &Comparison) -> Result<String> {
     let tables = [
         Some(score_table(comparison, Intervals::Shown)),
         Some(crps_table(comparison)),
-        Some(calibration_table(comparison)),
+        calibration_table(comparison),
         true_sigma_table(comparison),
         separation_table(comparison),
     ];
@@ -89,13 +89,23 @@ fn table_markup(table: &Table) -> Markup {
                     tr.first[index > 0 && table.rows[index - 1][0] != row[0]] {
                         @for (column, cell) in row.iter().enumerate() {
                             @if column < table.names { th scope="row" { (cell.text) } }
-                            @else { td.best[cell.best] { @if cell.text.is_empty() { "–" } @else { (cell.text) } } }
+                            @else { (value_markup(cell)) }
                         }
                     }
                 } }
             }
         }
     }
+}
+
+/// A value, its interval below it.
+fn value_markup(cell: &Cell) -> Markup {
+    let (value, interval) = match cell.text.split_once(" [") {
+        _ if cell.text.is_empty() => ("–", None),
+        Some((value, interval)) => (value, Some(format!("[{interval}"))),
+        None => (cell.text.as_str(), None),
+    };
+    html! { td.best[cell.best] { (value) @if let Some(interval) = interval { small { (interval) } } } }
 }
 
 fn figure_markup(figure: &Figure) -> Markup {

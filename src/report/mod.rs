@@ -3,9 +3,11 @@
 mod comparison;
 mod contact_sheet;
 pub mod figures;
+mod full_table;
 mod html;
 mod scores;
 mod table;
+mod table_two;
 
 pub use comparison::{Comparison, Entry, Judged};
 pub use contact_sheet::{CONTACT_SHEET_COLUMNS, contact_sheet};

@@ -2,7 +2,9 @@
 //! calibration, and how systems are told apart.
 
 use super::comparison::{Comparison, Judged};
+use super::full_table::full_table;
 use super::table::{Better, Cell, Table, TableFormat, three_digits};
+use super::table_two::table_two;
 use crate::evaluation::{Method, Metrics};
 use crate::geometry::Conventions;
 
@@ -27,7 +29,7 @@ pub fn render_results(comparison: &Comparison, format: TableFormat, intervals: I
             let tables = [
                 Some(score_table(comparison, intervals)),
                 Some(crps_table(comparison)),
-                Some(calibration_table(comparison)),
+                calibration_table(comparison),
                 true_sigma_table(comparison),
                 separation_table(comparison),
             ];
@@ -162,30 +164,30 @@ fn method_table(
     table
 }
 
-fn competes(judged: &Judged) -> bool {
+pub(super) fn competes(judged: &Judged) -> bool {
     let knows = matches!(judged.method, Method::Oracle | Method::OracleDiagonal);
     !knows && judged.metrics.sharpness.iter().all(|&sigma| sigma > 0.0)
 }
 
 /// Calibration and sharpness of the predictions, component by component.
-pub fn calibration_table(comparison: &Comparison) -> Table {
-    type Score = (&'static str, fn(&Metrics) -> Option<[Option<f64>; 6]>, Better);
+pub fn calibration_table(comparison: &Comparison) -> Option<Table> {
+    type Score = (&'static str, fn(&Metrics) -> Option<[Option<f64>; 6]>);
     let scores: [Score; 9] = [
-        ("mean σ [m, rad]", |metrics| Some(metrics.sharpness.map(Some)), Better::Neutral),
-        ("mean z² (1)", |metrics| Some(metrics.zms?.map(Some)), Better::Near(1.0)),
-        ("within 1σ (.683)", |metrics| Some(metrics.coverage?[0].map(Some)), Better::Near(0.683)),
-        ("within 2σ (.954)", |metrics| Some(metrics.coverage?[1].map(Some)), Better::Near(0.954)),
-        ("within 3σ (.997)", |metrics| Some(metrics.coverage?[2].map(Some)), Better::Near(0.997)),
-        ("ENCE (0)", |metrics| Some(metrics.ence?.map(Some)), Better::Lower),
-        ("AUSE (0)", |metrics| Some(metrics.ause?.map(Some)), Better::Lower),
-        ("AURG (high)", |metrics| Some(metrics.aurg?.map(Some)), Better::Higher),
-        ("rank corr. of σ, |e|", |metrics| Some(metrics.spearman), Better::Higher),
+        ("mean σ [m, rad]", |metrics| Some(metrics.sharpness.map(Some))),
+        ("mean z² (1)", |metrics| Some(metrics.zms?.map(Some))),
+        ("within 1σ (.683)", |metrics| Some(metrics.coverage?[0].map(Some))),
+        ("within 2σ (.954)", |metrics| Some(metrics.coverage?[1].map(Some))),
+        ("within 3σ (.997)", |metrics| Some(metrics.coverage?[2].map(Some))),
+        ("ENCE (0)", |metrics| Some(metrics.ence?.map(Some))),
+        ("AUSE (0)", |metrics| Some(metrics.ause?.map(Some))),
+        ("AURG (high)", |metrics| Some(metrics.aurg?.map(Some))),
+        ("rank corr. of σ, |e|", |metrics| Some(metrics.spearman)),
     ];
     let mut rows = Vec::new();
     for system in comparison.systems() {
         let predictions: Vec<_> =
             comparison.methods(system).into_iter().filter(|(_, judged)| judged.method == Method::Predicted).collect();
-        for (label, values, _) in scores {
+        for (label, values) in scores {
             for (name, judged) in &predictions {
                 let Some(values) = values(judged.metrics) else { continue };
                 if values.iter().all(Option::is_none) {
@@ -197,7 +199,8 @@ pub fn calibration_table(comparison: &Comparison) -> Table {
         }
     }
     let header = named_columns(&["system", "score", "method"]).chain(Conventions::COMPONENTS.map(str::to_owned));
-    Table { title: "calibration of the predictions".to_owned(), header: header.collect(), names: 3, rows }
+    let title = "calibration of the predictions".to_owned();
+    (!rows.is_empty()).then(|| Table { title, header: header.collect(), names: 3, rows })
 }
 
 /// Predicted beside true σ, where the data state true covariances.
@@ -240,168 +243,17 @@ pub fn separation_table(comparison: &Comparison) -> Option<Table> {
     (!rows.is_empty()).then(|| Table { title: title.to_owned(), header: header.collect(), names: 2, rows })
 }
 
-/// The paper's Table II: systems and components below one another, methods side by side.
-pub fn table_two(comparison: &Comparison, intervals: Intervals) -> Table {
-    let mut labels: Vec<String> = Vec::new();
-    let by_system: Vec<(&str, Vec<(String, Judged)>)> =
-        comparison.systems().into_iter().map(|system| (system, comparison.methods(system))).collect();
-    for (label, _) in by_system.iter().flat_map(|(_, methods)| methods) {
-        if !labels.contains(label) {
-            labels.push(label.clone());
-        }
-    }
-    let mut rows = Vec::new();
-    for (system, methods) in &by_system {
-        let scores = unit_columns("MDE ").chain(named_columns(&["NLL", "ANEES"]));
-        for (index, score) in scores.enumerate() {
-            let value = |metrics: &Metrics| match index {
-                6 => nll_cell(metrics, intervals),
-                7 => anees_cell(metrics, intervals),
-                c => mde_cell(metrics, c, intervals),
-            };
-            let found = |label: &String| methods.iter().find(|(name, _)| name == label);
-            let mut cells: Vec<Cell> = labels
-                .iter()
-                .map(|label| found(label).map_or(Cell::default(), |(_, judged)| value(judged.metrics)))
-                .collect();
-            if cells.iter().all(|cell| cell.text.is_empty()) {
-                continue;
-            }
-            let distance = |value: f64| if index == 7 { (value - 1.0).abs() } else { value };
-            let competing = |label: &String| found(label).is_some_and(|(_, judged)| competes(judged));
-            let ranks: Vec<Option<f64>> = labels
-                .iter()
-                .zip(&cells)
-                .map(|(label, cell)| cell.value.filter(|_| competing(label)).map(distance))
-                .collect();
-            let best = ranks.iter().flatten().copied().fold(f64::INFINITY, f64::min);
-            if comparison.is_of_one_data_set() && ranks.iter().flatten().count() > 1 {
-                for (cell, rank) in cells.iter_mut().zip(ranks) {
-                    cell.best = rank == Some(best);
-                }
-            }
-            rows.push([vec![Cell::name(*system), Cell::name(score)], cells].concat());
-        }
-    }
-    let header = named_columns(&["Rel. Pose. Meas.", "Metric"]).chain(labels).collect();
-    let warnings: String = comparison.warnings.iter().map(|warning| format!("WARNING: {warning}\n")).collect();
-    Table { title: format!("{}{warnings}", preface(comparison)).trim_end().to_owned(), header, names: 2, rows }
-}
-
-/// Every score of every method, one row each.
-pub fn full_table(comparison: &Comparison) -> Table {
-    let mut header: Vec<String> =
-        named_columns(&["system", "method", "run", "split", "error_frame", "pairs"]).collect();
-    let per_component: [(&str, bool); 17] = [
-        ("mde", true),
-        ("mde_low", true),
-        ("mde_high", true),
-        ("de_25", true),
-        ("de_75", true),
-        ("crps", true),
-        ("mean_sigma", true),
-        ("nll", false),
-        ("zms", false),
-        ("within_1_sigma", false),
-        ("within_2_sigma", false),
-        ("within_3_sigma", false),
-        ("ence", false),
-        ("ause", false),
-        ("aurg", false),
-        ("spearman", false),
-        ("true_sigma_ratio", false),
-    ];
-    let joint = [
-        "nll [nats]",
-        "nll_low",
-        "nll_high",
-        "nll_over_constant",
-        "nll_over_constant_low",
-        "nll_over_constant_high",
-        "anees",
-        "anees_low",
-        "anees_high",
-        "nees_below_95",
-        "at_floor",
-    ];
-    header.extend(named_columns(&joint));
-    for (name, has_unit) in per_component {
-        let units = Conventions::COMPONENTS.iter().zip(Conventions::UNITS);
-        header.extend(units.map(|(component, unit)| match has_unit {
-            true => format!("{name}_{component} [{unit}]"),
-            false => format!("{name}_{component}"),
-        }));
-    }
-    let mut rows = Vec::new();
-    for system in comparison.systems() {
-        for (name, Judged { entry, metrics, .. }) in comparison.methods(system) {
-            let origin = &entry.evaluation.origin;
-            let pairs = entry.evaluation.systems.get(system).map_or(0, |system| system.pairs);
-            let frame = entry.evaluation.error_frame.name();
-            let mut row: Vec<Cell> =
-                [system, &name, &origin.run, &origin.split, frame, &pairs.to_string()].map(Cell::name).into();
-            let bounds = |interval: Option<[f64; 2]>| [0, 1].map(|side| interval.map(|interval| interval[side]));
-            let [nll_low, nll_high] = bounds(metrics.nll_interval);
-            let [anees_low, anees_high] = bounds(metrics.anees_interval);
-            let [difference_low, difference_high] =
-                bounds(metrics.nll_over_constant.map(|difference| difference.interval));
-            row.extend(
-                [
-                    metrics.nll,
-                    nll_low,
-                    nll_high,
-                    metrics.nll_over_constant.map(|difference| difference.mean),
-                    difference_low,
-                    difference_high,
-                    metrics.anees,
-                    anees_low,
-                    anees_high,
-                    metrics.nees_below_95,
-                    metrics.at_floor,
-                ]
-                .map(full_cell),
-            );
-            let all: [Option<[Option<f64>; 6]>; 17] = [
-                Some(metrics.mde.map(Some)),
-                metrics.mde_interval.map(|bounds| bounds[0].map(Some)),
-                metrics.mde_interval.map(|bounds| bounds[1].map(Some)),
-                Some(metrics.de_quartiles[0].map(Some)),
-                Some(metrics.de_quartiles[2].map(Some)),
-                metrics.crps.map(|values| values.map(Some)),
-                Some(metrics.sharpness.map(Some)),
-                metrics.nll_by_component.map(|values| values.map(Some)),
-                metrics.zms.map(|values| values.map(Some)),
-                metrics.coverage.map(|values| values[0].map(Some)),
-                metrics.coverage.map(|values| values[1].map(Some)),
-                metrics.coverage.map(|values| values[2].map(Some)),
-                metrics.ence.map(|values| values.map(Some)),
-                metrics.ause.map(|values| values.map(Some)),
-                metrics.aurg.map(|values| values.map(Some)),
-                Some(metrics.spearman),
-                metrics.against_true.as_ref().map(|compared| compared.median_sigma_ratio.map(Some)),
-            ];
-            row.extend(all.into_iter().flat_map(|values| values.unwrap_or([None; 6])).map(full_cell));
-            rows.push(row);
-        }
-    }
-    Table { title: "all scores".to_owned(), header, names: 6, rows }
-}
-
-fn named_columns(names: &[&str]) -> impl Iterator<Item = String> {
+pub(super) fn named_columns(names: &[&str]) -> impl Iterator<Item = String> {
     names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>().into_iter()
 }
 
-fn unit_columns(prefix: &str) -> impl Iterator<Item = String> {
+pub(super) fn unit_columns(prefix: &str) -> impl Iterator<Item = String> {
     let named = Conventions::COMPONENTS.iter().zip(Conventions::UNITS);
     named.map(move |(name, unit)| format!("{prefix}{name} [{unit}]")).collect::<Vec<_>>().into_iter()
 }
 
-fn cell(value: Option<f64>, show: impl Fn(f64) -> String) -> Cell {
+pub(super) fn cell(value: Option<f64>, show: impl Fn(f64) -> String) -> Cell {
     Cell { text: value.map_or(String::new(), show), value, best: false }
-}
-
-fn full_cell(value: Option<f64>) -> Cell {
-    cell(value, |value| value.to_string())
 }
 
 fn with_interval(text: String, interval: Option<[f64; 2]>, show: impl Fn(f64) -> String) -> String {
@@ -416,7 +268,7 @@ fn interval_cell(value: Option<f64>, interval: Option<[f64; 2]>, shown: Interval
     cell
 }
 
-fn mde_cell(metrics: &Metrics, c: usize, shown: Intervals) -> Cell {
+pub(super) fn mde_cell(metrics: &Metrics, c: usize, shown: Intervals) -> Cell {
     interval_cell(
         Some(metrics.mde[c]),
         metrics.mde_interval.map(|bounds| bounds.map(|bound| bound[c])),
@@ -425,11 +277,81 @@ fn mde_cell(metrics: &Metrics, c: usize, shown: Intervals) -> Cell {
     )
 }
 
-/// A logarithm: its decimals are its significant digits.
-fn nll_cell(metrics: &Metrics, shown: Intervals) -> Cell {
-    interval_cell(metrics.nll, metrics.nll_interval, shown, |value| format!("{value:.3}"))
+/// Without the sign of a zero.
+fn three_decimals(value: f64) -> String {
+    let text = format!("{value:.3}");
+    if text == "-0.000" { "0.000".to_owned() } else { text }
 }
 
-fn anees_cell(metrics: &Metrics, shown: Intervals) -> Cell {
-    interval_cell(metrics.anees, metrics.anees_interval, shown, |value| format!("{value:.3}"))
+/// A logarithm: its decimals are its significant digits.
+pub(super) fn nll_cell(metrics: &Metrics, shown: Intervals) -> Cell {
+    interval_cell(metrics.nll, metrics.nll_interval, shown, three_decimals)
+}
+
+pub(super) fn anees_cell(metrics: &Metrics, shown: Intervals) -> Cell {
+    interval_cell(metrics.anees, metrics.anees_interval, shown, three_decimals)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::evaluation::{Baselines, Origin, PairRow, PairTable, PerturbationResponse, SystemPairs, evaluate_table};
+    use crate::geometry::{Covariance6, ErrorFrame, Tangent};
+    use crate::report::Entry;
+
+    fn comparison() -> Comparison {
+        let row = |source: usize, size: f64, sigma: f64| PairRow {
+            drive: Arc::from("drive"),
+            source,
+            target: source + 1,
+            interval_s: Some(0.1),
+            motion: Some([1.0, 0.0, 0.0, 0.0, 0.0, 0.01]),
+            error: [0.04, -0.01, 0.02, 1e-3, -2e-4, 5e-6].map(|error| size * error),
+            covariance: Some(Covariance6::from_std_devs(&(sigma * Tangent::new(0.03, 0.01, 0.02, 8e-4, 3e-4, 6e-6)))),
+            stated: Some(Covariance6::from_std_devs(&Tangent::new(0.03, 0.01, 0.02, 8e-4, 3e-4, 6e-6))),
+        };
+        let system = |name: &str, rows| SystemPairs { name: name.to_owned(), simulated: true, rows };
+        let vo = system("vo", vec![row(0, 1.0, 1.1), row(1, -0.5, 0.8), row(2, 1.5, 1.3), row(3, 0.2, 0.9)]);
+        let gnss = system("gnss", (0..4).map(|source| row(source, 0.0, 0.1)).collect());
+        let fitted = vec![("vo".to_owned(), Baselines::of_system(&vo))];
+        let table = PairTable { error_frame: ErrorFrame::Vehicle, systems: vec![vo, gnss] };
+        let origin = Origin {
+            run: "run".to_owned(),
+            predicted: Some("relcov".to_owned()),
+            split: "test".to_owned(),
+            device: "flex".to_owned(),
+            unreadable_frames: Vec::new(),
+            recalibration: None,
+            log_variance_floor: None,
+        };
+        let mut evaluation = evaluate_table(&table, &fitted, origin).unwrap();
+        evaluation.perturbation_response = Some(PerturbationResponse {
+            pairs: 512,
+            spearman: Some(0.912),
+            spearman_by_component: [Some(0.5), None, Some(0.25), Some(0.5), Some(0.5), Some(0.5)],
+            median_sigma_by_third: [0.3, 0.6, 1.2],
+        });
+        Comparison::new(vec![Entry { name: "run".to_owned(), evaluation, table, folder: None }]).unwrap()
+    }
+
+    #[test]
+    fn results_state_split_frame_units_and_baselines() {
+        insta::assert_snapshot!("text", render_results(&comparison(), TableFormat::Text, Intervals::Hidden));
+        insta::assert_snapshot!("latex", render_results(&comparison(), TableFormat::Latex, Intervals::Shown));
+    }
+
+    #[test]
+    fn the_table_for_programs_has_a_number_for_every_column() {
+        let csv = render_results(&comparison(), TableFormat::Csv, Intervals::Hidden);
+        let mut reader = csv::Reader::from_reader(csv.as_bytes());
+        let header = reader.headers().unwrap().clone();
+        let rows: Vec<csv::StringRecord> = reader.records().collect::<Result<_, _>>().unwrap();
+        let first = &rows[0];
+        assert_eq!((&first[0], &first[1]), ("vo", "relcov"));
+        for (name, value) in header.iter().zip(first).skip(5) {
+            assert!(value.parse::<f64>().is_ok_and(f64::is_finite) || name == "at_floor", "{name}: `{value}`");
+        }
+    }
 }

@@ -83,7 +83,8 @@ impl Table {
         table.load_style(presets::ASCII_MARKDOWN);
         table.set_header(&self.header);
         for row in &self.rows {
-            table.add_row(row.iter().map(|cell| if cell.text.is_empty() { "-".to_owned() } else { show(cell) }));
+            let cells = row.iter().map(|cell| if cell.text.is_empty() { "-".to_owned() } else { show(cell) });
+            table.add_row(cells);
         }
         for column in table.column_iter_mut().skip(self.names) {
             column.set_cell_alignment(CellAlignment::Right);
@@ -132,16 +133,23 @@ impl Table {
                 let rank =
                     |row: &Vec<Cell>| row[column].value.filter(|_| competes(row)).and_then(|value| better.rank(value));
                 let ranks: Vec<Option<f64>> = self.rows[first..end].iter().map(rank).collect();
-                let best = ranks.iter().flatten().copied().fold(f64::INFINITY, f64::min);
-                // A single value is not the best of any.
-                if ranks.iter().flatten().count() > 1 {
-                    for (row, rank) in self.rows[first..end].iter_mut().zip(ranks) {
-                        row[column].best = rank == Some(best);
-                    }
-                }
+                mark(self.rows[first..end].iter_mut().map(|row| &mut row[column]), &ranks);
                 first = end;
             }
         }
+    }
+}
+
+/// Marks the cell of the lowest rank, and those that read the same; a single one is not the best of any.
+pub(super) fn mark<'a>(cells: impl Iterator<Item = &'a mut Cell>, ranks: &[Option<f64>]) {
+    if ranks.iter().flatten().count() < 2 {
+        return;
+    }
+    let best = ranks.iter().flatten().copied().fold(f64::INFINITY, f64::min);
+    let mut ranked: Vec<(&mut Cell, Option<f64>)> = cells.zip(ranks.iter().copied()).collect();
+    let text = ranked.iter().find(|(_, rank)| *rank == Some(best)).map(|(cell, _)| cell.text.clone());
+    for (cell, rank) in &mut ranked {
+        cell.best = rank.is_some() && text.as_ref() == Some(&cell.text);
     }
 }
 

@@ -2,8 +2,10 @@
 
 mod cli;
 mod devices;
+mod eval_cli;
 mod kitti;
 mod oracles;
+mod report_page;
 mod support;
 mod synth_cli;
 mod synthetic;

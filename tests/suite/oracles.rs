@@ -1,7 +1,7 @@
 //! Numbers computed independently, at 60 digits or in other programs.
 
 use burn::tensor::{Device, Tensor, TensorData};
-use relcov::geometry::{Pose, Tangent};
+use relcov::geometry::{Covariance6, Pose, Tangent};
 use relcov::loss::gaussian_loss;
 use relcov::network::{CovarianceNetworkConfig, Head};
 use relcov::warp::Warp;
@@ -131,7 +131,9 @@ fn metrics_agree_with_an_independent_program() {
     let rows = |key: &str| -> Vec<[f64; 6]> {
         oracle[key].as_array().unwrap().iter().map(|row| numbers(row).try_into().unwrap()).collect()
     };
-    let metrics = relcov::evaluation::evaluate(&rows("variance"), &rows("error")).unwrap();
+    let covariance = |variance: [f64; 6]| Covariance6::from_variances(&variance.into());
+    let covariances: Vec<Covariance6> = rows("variance").into_iter().map(covariance).collect();
+    let metrics = relcov::evaluation::evaluate(&covariances, &rows("error"), None).unwrap();
     let close = |name: &str, value: f64, expected: f64| {
         assert!((value - expected).abs() <= 1e-9 * expected.abs().max(1.0), "{name}: {value} against {expected}");
     };
@@ -142,6 +144,8 @@ fn metrics_agree_with_an_independent_program() {
     let coverage = metrics.coverage.unwrap();
     for c in 0..6 {
         close("mde", metrics.mde[c], mde[c]);
+        close("crps", metrics.crps.unwrap()[c], numbers(&oracle["crps_mean"])[c]);
+        close("spearman", metrics.spearman[c].unwrap(), numbers(&oracle["spearman"])[c]);
         close("first quartile", metrics.de_quartiles[0][c], numbers(&oracle["de_quartiles"][0])[c]);
         close("third quartile", metrics.de_quartiles[2][c], numbers(&oracle["de_quartiles"][1])[c]);
         for sigmas in 0..3 {

@@ -191,3 +191,34 @@ pub fn skip(reason: &str) {
     assert!(std::env::var_os("RELCOV_STRICT_TESTS").is_none(), "would be skipped: {reason}");
     eprintln!("skipped: {reason}");
 }
+
+/// Writes predictions for made errors of one system on two drives: correlated in time, larger where σ is.
+pub fn write_pairs_csv(path: &Path, pairs: usize, seed: u64) {
+    use rand::{RngExt, SeedableRng};
+    use relcov::evaluation::{PairRow, PairTable, SystemPairs, write_pairs};
+    use relcov::geometry::{Covariance6, ErrorFrame};
+    let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+    let mut noise = [0.0_f64; 6];
+    let row = |index: usize| {
+        let speed = 0.6 + 0.4 * (index as f64 * 0.07).sin();
+        let sigma = [0.05, 0.02, 0.03, 1e-3, 2e-3, 8e-4].map(|sigma| sigma * speed);
+        for value in &mut noise {
+            // A uniform variable on ±√3 has variance 1.
+            *value = 0.7 * *value + 0.51_f64.sqrt() * 3f64.sqrt() * random.random_range(-1.0..1.0);
+        }
+        let drive = if index < pairs / 2 { "drive_a" } else { "drive_b" };
+        PairRow {
+            drive: drive.into(),
+            source: index,
+            target: index + 1,
+            interval_s: Some(0.1),
+            motion: Some([speed, 0.0, 0.0, 0.0, 0.0, 0.01 * speed]),
+            error: std::array::from_fn(|c| sigma[c] * noise[c]),
+            covariance: Some(Covariance6::from_std_devs(&Tangent::from(sigma))),
+            stated: None,
+        }
+    };
+    let rows = (0..pairs).map(row).collect();
+    let systems = vec![SystemPairs { name: "vo".to_owned(), simulated: false, rows }];
+    write_pairs(path, &PairTable { error_frame: ErrorFrame::Vehicle, systems }).unwrap();
+}

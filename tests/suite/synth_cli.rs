@@ -111,7 +111,7 @@ fn training_renders_its_data_and_judges_by_the_true_covariances() {
         assert!(rows.count() >= 1, "{method}: {stdout}");
     }
     assert!(
-        stdout.contains("against the true covariance") && stdout.contains("AUROC") && stdout.contains("pose exp(eps)"),
+        stdout.contains("against the true covariance") && stdout.contains("AUROC") && stdout.contains("injected pose"),
         "{stdout}"
     );
 

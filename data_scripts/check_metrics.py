@@ -1,0 +1,170 @@
+#!/usr/bin/env -S uv run --script
+# /// script
+# requires-python = ">=3.10"
+# dependencies = ["numpy", "scipy", "uncertainty-toolbox==0.1.1", "arch"]
+# ///
+"""Judges random predictions with relcov and with scipy, uncertainty-toolbox and arch, and compares every score.
+
+    cargo build --release && uv run data_scripts/check_metrics.py
+
+Without uv: pip install numpy scipy uncertainty-toolbox arch, then run it with python.
+Exits with 1 and names the scores that differ.
+"""
+
+import argparse
+import csv
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy
+import scipy.stats
+import uncertainty_toolbox
+from arch.bootstrap import optimal_block_length
+
+ROOT = Path(__file__).resolve().parent.parent
+COMPONENTS = ["x", "y", "z", "roll", "pitch", "yaw"]
+PAIRS = 1500
+LARGEST_DIFFERENCE = 1e-9
+
+failures = 0
+compared = 0
+
+
+def compare(name, found, expected, tolerance=LARGEST_DIFFERENCE):
+    global failures, compared
+    found, expected = numpy.asarray(found, float), numpy.asarray(expected, float)
+    off = numpy.max(numpy.abs(found - expected) / numpy.maximum(numpy.abs(expected), 1e-12))
+    compared += found.size
+    if not off <= tolerance:
+        failures += 1
+        print(f"{name}: relcov {found}, expected {expected}", file=sys.stderr)
+
+
+def random_table(random, pairs, full):
+    """Errors with their own covariance times a factor, correlated in time; covariances that vary tenfold."""
+    scale = numpy.array([0.05, 0.02, 0.03, 1e-3, 2e-3, 8e-4])
+    noise = numpy.zeros(6)
+    errors, covariances = [], []
+    for _ in range(pairs):
+        sigma = scale * numpy.exp(random.normal(0, 0.6, 6))
+        lower = numpy.eye(6) + (numpy.tril(random.normal(0, 0.4, (6, 6)), -1) if full else 0)
+        factor = numpy.diag(sigma) @ lower
+        noise = 0.8 * noise + 0.6 * random.normal(size=6)
+        errors.append(1.2 * factor @ noise)
+        covariances.append(factor @ factor.T)
+    return numpy.array(errors), numpy.array(covariances)
+
+
+def write(path, errors, covariances, full, motions):
+    above = [(i, j) for i in range(6) for j in range(i + 1, 6)]
+    header = ["system", "drive", "source", "target"]
+    header += [f"motion_{c}" for c in COMPONENTS] + [f"error_{c}" for c in COMPONENTS]
+    header += [f"variance_{c}" for c in COMPONENTS]
+    header += [f"covariance_{COMPONENTS[i]}_{COMPONENTS[j]}" for i, j in above] if full else []
+    with open(path, "w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(header)
+        for index, (motion, error, covariance) in enumerate(zip(motions, errors, covariances)):
+            row = ["vo", f"drive_{3 * index // len(errors)}", index, index + 1, *map(repr, map(float, motion))]
+            row += [repr(float(value)) for value in (*error, *numpy.diag(covariance))]
+            row += [repr(float(covariance[i, j])) for i, j in above] if full else []
+            writer.writerow(row)
+
+
+def sparsification(key, sizes):
+    order = numpy.argsort(-key, kind="stable")
+    left = [sizes[order[index:]].mean() for index in range(len(order))]
+    return numpy.array(left) / sizes.mean()
+
+
+def check_method(name, metrics, errors, covariances):
+    variance = numpy.einsum("nii->ni", covariances)
+    sigma, sizes = numpy.sqrt(variance), numpy.abs(errors)
+    dispersion = numpy.sqrt(numpy.abs(variance - errors**2))
+    compare(f"{name} mde", metrics["mde"], numpy.median(dispersion, axis=0))
+    compare(f"{name} de_quartiles", metrics["de_quartiles"], numpy.quantile(dispersion, [0.25, 0.5, 0.75], axis=0))
+    likelihood = [scipy.stats.multivariate_normal(cov=c).logpdf(e) for c, e in zip(covariances, errors)]
+    compare(f"{name} nll", metrics["nll"], -numpy.mean(likelihood))
+    nees = numpy.array([e @ numpy.linalg.solve(c, e) for c, e in zip(covariances, errors)])
+    compare(f"{name} anees", metrics["anees"], nees.mean() / 6, 1e-8)
+    compare(f"{name} nees_below_95", metrics["nees_below_95"], numpy.mean(nees < scipy.stats.chi2(6).ppf(0.95)), 1e-3)
+    z = errors / sigma
+    compare(f"{name} zms", metrics["zms"], numpy.mean(z**2, axis=0))
+    compare(f"{name} coverage", metrics["coverage"], [numpy.mean(numpy.abs(z) <= k, axis=0) for k in (1, 2, 3)])
+    compare(f"{name} sharpness", metrics["sharpness"], sigma.mean(axis=0))
+    for c in range(6):
+        zeros, s, e = numpy.zeros(len(errors)), sigma[:, c], errors[:, c]
+        label = f"{name} {COMPONENTS[c]}"
+        compare(f"{label} crps", metrics["crps"][c], uncertainty_toolbox.metrics.crps_gaussian(zeros, s, e))
+        compare(f"{label} nll", metrics["nll_by_component"][c], uncertainty_toolbox.metrics.nll_gaussian(zeros, s, e))
+        by_error = sparsification(sizes[:, c], sizes[:, c])
+        if numpy.ptp(s) == 0:
+            # Equal sigmas have no order: one bin, and a random order's expected curve.
+            rmse = numpy.sqrt(numpy.mean(e**2))
+            compare(f"{label} spearman", metrics["spearman"][c] is None, True)
+            compare(f"{label} ence", metrics["ence"][c], abs(s[0] - rmse) / s[0])
+            compare(f"{label} ause", metrics["ause"][c], numpy.mean(1 - by_error))
+            compare(f"{label} aurg", metrics["aurg"][c] + 1, 1)
+            continue
+        compare(f"{label} spearman", metrics["spearman"][c], scipy.stats.spearmanr(sizes[:, c], s).statistic)
+        order = numpy.argsort(s, kind="stable")
+        edges = [k * len(order) // 10 for k in range(11)]
+        bins = [order[first:end] for first, end in zip(edges, edges[1:])]
+        rmv = numpy.array([numpy.sqrt(numpy.mean(s[b] ** 2)) for b in bins])
+        rmse = numpy.array([numpy.sqrt(numpy.mean(e[b] ** 2)) for b in bins])
+        compare(f"{label} ence", metrics["ence"][c], numpy.mean(numpy.abs(rmv - rmse) / rmv))
+        by_sigma = sparsification(s, sizes[:, c])
+        compare(f"{label} ause", metrics["ause"][c], numpy.mean(by_sigma - by_error))
+        compare(f"{label} aurg", metrics["aurg"][c], numpy.mean(1 - by_sigma))
+
+
+def check(relcov, folder, full, seed):
+    random = numpy.random.default_rng(seed)
+    motions = random.normal(0, [0.5, 0.02, 0.02, 0.01, 0.02, 0.03], (PAIRS, 6))
+    errors, covariances = random_table(random, PAIRS, full)
+    training_errors, training_covariances = random_table(random, 900, full)
+    write(folder / "mine.csv", errors, covariances, full, motions)
+    write(folder / "training.csv", training_errors, training_covariances, full, motions[:900])
+    command = [relcov, "eval", "--quiet", "--error-frame", "vehicle", "--pairs", folder / "mine.csv"]
+    command += ["--fit", folder / "training.csv", "--save-results", folder / "mine_scores.json"]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    system = json.loads((folder / "mine_scores.json").read_text())["systems"]["vo"]
+
+    kind = "full" if full else "diagonal"
+    check_method(kind, system["methods"]["mine"], errors, covariances)
+    constant = numpy.mean(training_errors**2, axis=0)
+    mad = scipy.stats.median_abs_deviation(training_errors, axis=0, center=lambda *_, **__: 0, scale="normal") ** 2
+    for method, variance in (("constant", constant), ("constant_mad", mad)):
+        check_method(f"{kind} {method}", system["methods"][method], errors, numpy.tile(numpy.diag(variance), (PAIRS, 1, 1)))
+    compare(f"{kind} zero crps", system["methods"]["zero"]["crps"], numpy.mean(numpy.abs(errors), axis=0))
+
+    # The block length: arch normalises autocorrelations a little differently at long lags.
+    lengths = [optimal_block_length(errors[:, c] ** 2)["circular"].iloc[0] for c in range(6)]
+    compare(f"{kind} block length", system["bootstrap"]["block_length"], numpy.ceil(max(1, *lengths)), 0.1)
+    # The interval: a plain block bootstrap in numpy with as many resamples, so equal up to their noise.
+    nees = numpy.array([e @ numpy.linalg.solve(c, e) for c, e in zip(covariances, errors)]) / 6
+    length = system["bootstrap"]["block_length"]
+    starts = random.integers(0, PAIRS, (4000, -(-PAIRS // length)))
+    rows = (starts[:, :, None] + numpy.arange(length)).reshape(4000, -1)[:, :PAIRS] % PAIRS
+    expected = numpy.quantile(nees[rows].mean(axis=1), [0.025, 0.975])
+    width = expected[1] - expected[0]
+    off = numpy.abs(numpy.array(system["methods"]["mine"]["anees_interval"]) - expected) / width
+    compare(f"{kind} interval of ANEES, in its width", 1 + off, [1, 1], 0.12)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--relcov", default=ROOT / "target/release/relcov", help="the program [default: %(default)s]")
+    arguments = parser.parse_args()
+    for full in (False, True):
+        with tempfile.TemporaryDirectory() as folder:
+            check(arguments.relcov, Path(folder), full, seed=7)
+    print(f"{compared} numbers compared, {failures} scores differ")
+    sys.exit(1 if failures else 0)
+
+
+if __name__ == "__main__":
+    main()

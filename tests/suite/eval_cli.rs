@@ -1,0 +1,212 @@
+//! `relcov eval` and `relcov report` on files of predictions: scores, forms of tables, figures, refusals.
+
+use std::path::{Path, PathBuf};
+
+use assert_cmd::Command;
+use predicates::str::contains;
+use serde_json::Value;
+
+use crate::support::{shared, write_pairs_csv};
+
+fn relcov() -> Command {
+    Command::cargo_bin("relcov").unwrap()
+}
+
+/// Judges a made file and keeps the result.
+fn judge(folder: &Path, name: &str, seed: u64, frame: &str) -> PathBuf {
+    let pairs = folder.join(format!("{name}_pairs.csv"));
+    write_pairs_csv(&pairs, 300, seed);
+    let result = folder.join(format!("{name}.json"));
+    relcov()
+        .args(["eval", "--error-frame", frame, "--pairs"])
+        .arg(&pairs)
+        .arg("--save-results")
+        .arg(&result)
+        .assert()
+        .success();
+    result
+}
+
+fn read(path: &Path) -> Value {
+    serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
+}
+
+#[test]
+fn baselines_alone_reach_the_bars_on_drive_0034() {
+    // FIELD.md's bars: fitted on the drives that libviso2 measured, judged on 0034; no image is read.
+    let Some(kitti) = shared("kitti") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let result = folder.path().join("baselines.json");
+    relcov()
+        .args(["eval", "--baselines-only", "--config", "configs/kitti.toml", "--set"])
+        .arg(format!("data.root={}", kitti.display()))
+        .arg("--save-results")
+        .arg(&result)
+        .assert()
+        .success()
+        .stdout(contains("pairs: 1200 vo, 1223 gnss"));
+    let methods = &read(&result)["systems"]["vo"]["methods"];
+    for (method, nll, anees) in
+        [("constant", -25.472, 0.867), ("constant_mad", -24.721, 1.842), ("log_linear", -26.283, 0.888)]
+    {
+        let found = |score: &str| methods[method][score].as_f64().unwrap();
+        assert!((found("nll") - nll).abs() < 0.03, "{method}: NLL {} against {nll}", found("nll"));
+        assert!((found("anees") - anees).abs() < 0.01, "{method}: ANEES {} against {anees}", found("anees"));
+        let interval = &methods[method]["anees_interval"];
+        let [low, high] = [0, 1].map(|side| interval[side].as_f64().unwrap());
+        // Errors of neighbouring frames are correlated: far wider than the 5 % of 1,200 independent pairs.
+        assert!(low < found("anees") && found("anees") < high && high - low > 0.1, "{low} {high}");
+    }
+    assert!(methods["log_linear"]["spearman"][0].as_f64().unwrap() > 0.6);
+    assert!(methods["constant"]["spearman"][0].is_null() && methods["zero"]["nll"].is_null());
+}
+
+#[test]
+fn a_result_is_the_same_every_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let texts = ["a", "b"].map(|name| {
+        let path = judge(folder.path(), name, 1, "vehicle");
+        std::fs::read_to_string(path).unwrap().replace("b_pairs", "a_pairs")
+    });
+    assert_eq!(texts[0], texts[1]);
+    let evaluation: Value = serde_json::from_str(&texts[0]).unwrap();
+    assert_eq!(evaluation["error_frame"], "vehicle");
+    assert_eq!(evaluation["units"][3], "rad");
+    assert_eq!(evaluation["systems"]["vo"]["bootstrap"]["seed"], 0);
+}
+
+#[test]
+fn tables_and_figures_are_written_in_every_form() {
+    let folder = tempfile::tempdir().unwrap();
+    let result = judge(folder.path(), "mine", 1, "vehicle");
+    for (name, expected) in [
+        ("table.txt", "| vo     | mine_pairs |"),
+        ("table.md", "MDE = median sqrt"),
+        ("table.csv", "system,method,run,split,error_frame,pairs,nll [nats]"),
+        ("table.tex", "vo & MDE x [m] & "),
+    ] {
+        let table = folder.path().join("tables").join(name);
+        relcov().arg("report").arg(&result).arg("--save-table").arg(&table).assert().success();
+        let text = std::fs::read_to_string(&table).unwrap();
+        assert!(text.contains(expected), "{name}: {text}");
+    }
+    let figures = folder.path().join("figures");
+    relcov().arg("report").arg(&result).arg("--save-plot").arg(&figures).assert().success();
+    for name in
+        ["sequence", "dispersion_vo", "reliability_vo", "coverage_vo", "sparsification_vo", "nees_vo", "speed_vo"]
+    {
+        let svg = std::fs::read_to_string(figures.join(format!("{name}.svg"))).unwrap();
+        assert!(svg.contains("<text") && (svg.contains("[m]") || name == "nees_vo" || name == "coverage_vo"), "{name}");
+        let picture = image::open(figures.join(format!("{name}.png"))).unwrap().into_rgb8();
+        let coloured = picture.pixels().filter(|pixel| pixel.0.iter().any(|&level| level < 160)).count();
+        assert!(coloured > 2_000, "{name}: {coloured} dark pixels");
+    }
+    relcov()
+        .arg("report")
+        .arg(&result)
+        .args(["--save-table", "table.doc"])
+        .assert()
+        .failure()
+        .stderr(contains("must end in .txt, .md, .csv or .tex"));
+}
+
+#[test]
+fn intervals_come_on_request() {
+    let folder = tempfile::tempdir().unwrap();
+    let result = judge(folder.path(), "mine", 1, "vehicle");
+    let stdout = |arguments: &[&str]| {
+        let output = relcov().arg("report").arg(&result).args(arguments).output().unwrap();
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let row = |text: String| text.lines().find(|line| line.contains("mine_pairs")).unwrap().to_owned();
+    assert!(!row(stdout(&[])).contains('['));
+    assert_eq!(row(stdout(&["--intervals"])).matches('[').count(), 8, "six MDE, NLL and ANEES");
+}
+
+#[test]
+fn bad_predictions_are_named_and_never_dropped() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("pairs.csv");
+    write_pairs_csv(&path, 20, 3);
+    let good = std::fs::read_to_string(&path).unwrap();
+    let header: Vec<&str> = good.lines().next().unwrap().split(',').collect();
+    let column = header.iter().position(|name| *name == "variance_pitch").unwrap();
+    for (value, found) in [
+        ("NaN", "`variance_pitch` = `NaN`"),
+        ("0", "`variance_pitch` = 0"),
+        ("-1e-4", "`variance_pitch` = -0.0001"),
+        ("", "`variance_pitch` = ``"),
+    ] {
+        let broken: Vec<String> = good
+            .lines()
+            .enumerate()
+            .map(|(index, line)| {
+                let mut cells: Vec<&str> = line.split(',').collect();
+                if index == 7 {
+                    cells[column] = value;
+                }
+                cells.join(",")
+            })
+            .collect();
+        std::fs::write(&path, broken.join("\n")).unwrap();
+        relcov()
+            .args(["eval", "--error-frame", "vehicle", "--pairs"])
+            .arg(&path)
+            .assert()
+            .code(1)
+            .stderr(contains("line 8").and(contains(found)));
+    }
+    relcov().args(["eval", "--pairs"]).arg(&path).assert().code(2).stderr(contains("--error-frame"));
+    relcov().arg("eval").assert().code(2).stderr(contains("--run"));
+}
+
+#[test]
+fn what_does_not_compare_is_refused_or_pointed_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let first = judge(folder.path(), "first", 1, "vehicle");
+    let camera = judge(folder.path(), "camera", 1, "camera");
+    relcov()
+        .arg("report")
+        .args([&first, &camera])
+        .assert()
+        .code(1)
+        .stderr(contains("`first` is in vehicle axes and `camera` in camera axes"));
+
+    // A pair fewer, of the same drives.
+    let pairs = folder.path().join("fewer_pairs.csv");
+    let fewer = folder.path().join("fewer.json");
+    let text = std::fs::read_to_string(folder.path().join("first_pairs.csv")).unwrap();
+    let kept: Vec<&str> = text.lines().enumerate().filter(|(index, _)| *index != 5).map(|(_, line)| line).collect();
+    std::fs::write(&pairs, kept.join("\n")).unwrap();
+    relcov()
+        .args(["eval", "--error-frame", "vehicle", "--pairs"])
+        .arg(&pairs)
+        .arg("--save-results")
+        .arg(&fewer)
+        .assert()
+        .success();
+    for order in [[&first, &fewer], [&fewer, &first]] {
+        relcov()
+            .arg("report")
+            .args(order)
+            .assert()
+            .code(1)
+            .stderr(contains("`fewer` has no prediction for vo drive_a frames 4 and 5, which `first` has"));
+    }
+
+    // Other errors for the same pairs compare, but not silently, and nothing is called best.
+    let other = judge(folder.path(), "other", 2, "vehicle");
+    relcov()
+        .arg("report")
+        .args([&first, &other])
+        .assert()
+        .success()
+        .stdout(contains("WARNING: `first` and `other` have different errors").and(contains("* |").not()));
+
+    // Scores whose measurements were changed afterwards.
+    std::fs::copy(folder.path().join("fewer.csv"), folder.path().join("first.csv")).unwrap();
+    relcov().arg("report").arg(&first).assert().code(1).stderr(contains("holds other measurements"));
+    relcov().args(["report", "nowhere"]).assert().code(1).stderr(contains("nowhere: holds no evaluation.json"));
+}
+
+use predicates::prelude::PredicateBooleanExt as _;
