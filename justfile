@@ -20,6 +20,10 @@ synthetic *ARGS:
 check-synthetic:
     uv run data_scripts/check_synthetic.py
 
+# Every score as scipy, uncertainty-toolbox and arch see it
+check-metrics:
+    uv run data_scripts/check_metrics.py
+
 # The main job on the real sample
 sample *ARGS:
     cargo run --release -- train --config configs/kitti_sample.toml {{ARGS}}

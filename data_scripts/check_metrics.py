@@ -1,7 +1,7 @@
 #!/usr/bin/env -S uv run --script
 # /// script
 # requires-python = ">=3.10"
-# dependencies = ["numpy", "scipy", "uncertainty-toolbox==0.1.1", "arch"]
+# dependencies = ["numpy", "scipy", "uncertainty-toolbox==0.1.1", "arch==8.0.0"]
 # ///
 """Judges random predictions with relcov and with scipy, uncertainty-toolbox and arch, and compares every score.
 

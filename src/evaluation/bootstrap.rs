@@ -220,7 +220,7 @@ mod tests {
         assert!(optimal_block_length(&independent) < 8.0, "{}", optimal_block_length(&independent));
         let length = optimal_block_length(&correlated);
         assert!((30.0..120.0).contains(&length), "{length}");
-        let resamples = Resamples::new(&[0..4000], length.ceil() as usize).unwrap();
+        let resamples = Resamples::new(std::slice::from_ref(&(0..4000)), length.ceil() as usize).unwrap();
         let [low, high] = resamples.mean_interval(&correlated);
         // Of a mean of an AR(1) process: √((1 + .9) / (1 − .9)) times that of independent values.
         let expected = 19_f64.sqrt() * 2.0 * 1.96 / 4000_f64.sqrt();
@@ -239,6 +239,6 @@ mod tests {
             assert!(blocks.iter().all(within));
         }
         assert_eq!(optimal_block_length(&[1.0; 50]), 1.0);
-        assert!(Resamples::new(&[0..1], 1).is_none());
+        assert!(Resamples::new(std::slice::from_ref(&(0..1)), 1).is_none());
     }
 }

@@ -52,9 +52,9 @@ pub struct Metrics {
     /// 0 when calibrated wherever σ is small or large.
     pub ence: Option<[f64; 6]>,
     /// Area under the sparsification error: 0 when σ ranks pairs as |e| does.
-    pub ause: Option<[f64; 6]>,
+    pub ause: [Option<f64>; 6],
     /// Area under the random gain: above 0 when σ ranks errors better than chance.
-    pub aurg: Option<[f64; 6]>,
+    pub aurg: [Option<f64>; 6],
     /// Rank correlation of |e| and σ.
     pub spearman: [Option<f64>; 6],
     /// Mean of √R, m and rad.
@@ -139,10 +139,7 @@ pub(super) fn evaluate_over(
         values
     });
     let quartiles = [0.25, 0.5, 0.75].map(|share| per_component(|c| quantile(&sorted[c], share)));
-    let areas: Option<[[f64; 2]; 6]> = wrong.then(|| ()).and_then(|()| {
-        let areas: Option<Vec<_>> = (0..6).map(|c| sparsification_areas(&sigma[c], &error[c])).collect();
-        areas?.try_into().ok()
-    });
+    let areas: [Option<[f64; 2]>; 6] = std::array::from_fn(|c| sparsification_areas(&sigma[c], &error[c]));
 
     Some(Metrics {
         mde: quartiles[1],
@@ -173,8 +170,8 @@ pub(super) fn evaluate_over(
             [1.0, 4.0, 9.0].map(|limit| per_component(|c| share(&z_squared[c], |value| value <= limit)))
         }),
         ence: joint.is_some().then(|| per_component(|c| ence(&error[c], &sigma[c]))),
-        ause: areas.map(|areas| areas.map(|[ause, _]| ause)),
-        aurg: areas.map(|areas| areas.map(|[_, aurg]| aurg)),
+        ause: areas.map(|areas| Some(areas?[0])),
+        aurg: areas.map(|areas| Some(areas?[1])),
         spearman: std::array::from_fn(|c| {
             let sizes: Vec<f64> = error[c].iter().map(|error| error.abs()).collect();
             spearman(&sizes, &sigma[c])
@@ -296,7 +293,7 @@ mod tests {
         // The score of a prediction without spread is its absolute error.
         assert_eq!((zero.mde, zero.crps), ([2.0; 6], Some([2.0; 6])));
         let truth = evaluate(&diagonal(&[[1.0; 6]; 2]), &[[0.0; 6]; 2], None).unwrap();
-        assert_eq!((truth.nll, truth.crps, truth.coverage, truth.ause), (None, None, None, None));
+        assert_eq!((truth.nll, truth.crps, truth.coverage, truth.ause), (None, None, None, [None; 6]));
         assert_eq!(truth.sharpness, [1.0; 6]);
         assert_eq!(evaluate(&[], &[], None), None);
     }

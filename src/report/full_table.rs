@@ -46,8 +46,8 @@ const BY_COMPONENT: [ComponentScore; 17] = [
     ("within_2_sigma", Unit::None, |metrics| Some(metrics.coverage?[1].map(Some))),
     ("within_3_sigma", Unit::None, |metrics| Some(metrics.coverage?[2].map(Some))),
     ("ence", Unit::None, |metrics| Some(metrics.ence?.map(Some))),
-    ("ause", Unit::None, |metrics| Some(metrics.ause?.map(Some))),
-    ("aurg", Unit::None, |metrics| Some(metrics.aurg?.map(Some))),
+    ("ause", Unit::None, |metrics| Some(metrics.ause)),
+    ("aurg", Unit::None, |metrics| Some(metrics.aurg)),
     ("spearman", Unit::None, |metrics| Some(metrics.spearman)),
     ("true_sigma_ratio", Unit::None, |metrics| Some(metrics.against_true.as_ref()?.median_sigma_ratio.map(Some))),
 ];

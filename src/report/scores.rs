@@ -179,8 +179,8 @@ pub fn calibration_table(comparison: &Comparison) -> Option<Table> {
         ("within 2σ (.954)", |metrics| Some(metrics.coverage?[1].map(Some))),
         ("within 3σ (.997)", |metrics| Some(metrics.coverage?[2].map(Some))),
         ("ENCE (0)", |metrics| Some(metrics.ence?.map(Some))),
-        ("AUSE (0)", |metrics| Some(metrics.ause?.map(Some))),
-        ("AURG (high)", |metrics| Some(metrics.aurg?.map(Some))),
+        ("AUSE (0)", |metrics| Some(metrics.ause)),
+        ("AURG (high)", |metrics| Some(metrics.aurg)),
         ("rank corr. of σ, |e|", |metrics| Some(metrics.spearman)),
     ];
     let mut rows = Vec::new();

@@ -9,6 +9,7 @@ mod history;
 mod learner;
 mod manifest;
 mod run_folder;
+mod saved_state;
 mod schedule;
 mod setup;
 

@@ -204,7 +204,7 @@ pub(super) fn log_axis(values: impl IntoIterator<Item = f64>) -> Option<LogAxis>
     for value in values.into_iter().filter(|value| value.is_finite() && *value > 0.0) {
         (low, high) = (low.min(value), high.max(value));
     }
-    (high > 0.0).then(|| LogAxis { low: 0.8 * low, high: 1.25 * high })
+    (high > 0.0).then_some(LogAxis { low: 0.8 * low, high: 1.25 * high })
 }
 
 /// A logarithmic axis whose ticks are round numbers however short it is.
