@@ -1,5 +1,6 @@
 //! Tests of the library and the program from outside, in one binary (each links all of Burn).
 
+mod ablations;
 mod cli;
 mod devices;
 mod eval_cli;
