@@ -10,7 +10,8 @@
 //! | predict a covariance with a trained model | [`Model`] |
 //! | know what order, side, frame and unit a number has | [`geometry`] |
 //! | train | [`training::Learner`], or `relcov train` |
-//! | judge a model | [`evaluation`], or `relcov eval` |
+//! | judge a model, or any covariances | [`evaluation`], or `relcov eval` |
+//! | compare results, draw them | [`report`], or `relcov report` |
 //! | have data whose true covariances are known | [`synthetic`], or `relcov synth` |
 //! | read the method | [`model`], [`warp`], [`network`], [`loss`] |
 //! | know why it is fast | [`kernels`] |
