@@ -13,7 +13,7 @@ use crate::data::{BadFrame, Dataset, PairReader, PairScope, SplitName};
 use crate::device::{device_name, open_device};
 use crate::error::Error;
 use crate::evaluation::{
-    Baselines, Evaluation, Origin, PairTable, Prediction, Recalibration, evaluate_table, perturbation_response,
+    Baselines, Evaluation, Method, Origin, PairTable, Prediction, Recalibration, evaluate_table, perturbation_response,
     predict_split, read_pairs, write_pairs,
 };
 use crate::geometry::ErrorFrame;
@@ -270,7 +270,11 @@ fn evaluate_file(pairs: &Path, fit: Option<&Path>, frame: ErrorFrame) -> anyhow:
             training.systems.iter().map(|system| (system.name.clone(), Baselines::of_system(system))).collect()
         }
     };
-    let name = pairs.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let mut name = pairs.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    if Method::ALL[1..].iter().any(|method| method.name(RELCOV) == name) {
+        // A file called `constant` is not the constant baseline.
+        name.insert_str(0, "predicted_");
+    }
     let evaluation = evaluate_table(&table, &fitted, origin_of_file(pairs, Some(name.clone()), "given"))?;
     Ok(Entry { name, evaluation, table, folder: None })
 }

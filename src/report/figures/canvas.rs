@@ -2,7 +2,7 @@
 //! brightness and in dashes, so that they can be told apart in grey.
 
 use plotters::coord::Shift;
-use plotters::coord::ranged1d::{DefaultFormatting, KeyPointHint};
+use plotters::coord::ranged1d::{DefaultFormatting, KeyPointHint, ValueFormatter};
 use plotters::prelude::*;
 
 use super::Drawing;
@@ -16,14 +16,16 @@ pub(super) const ERROR: RGBColor = RGBColor(196, 78, 60);
 pub(super) const GREY: RGBColor = RGBColor(130, 130, 130);
 pub(super) const FONT: &str = "sans-serif";
 
-/// From dark to light, and back with other dashes.
-const COLOURS: [RGBColor; 6] = [
+/// Neighbours differ in brightness too; after the last they come again with other dashes.
+const COLOURS: [RGBColor; 8] = [
     RGBColor(20, 60, 130),
     RGBColor(222, 112, 20),
     RGBColor(60, 140, 90),
     RGBColor(150, 80, 160),
     RGBColor(90, 90, 90),
     RGBColor(70, 160, 200),
+    RGBColor(200, 30, 90),
+    RGBColor(160, 140, 0),
 ];
 /// Length of dashes and gaps, px; the first is a full line.
 const DASHES: [(i32, i32); 4] = [(1, 0), (8, 4), (3, 3), (12, 3)];
@@ -175,7 +177,27 @@ fn dots_path(look: &str, places: &str) -> String {
     )
 }
 
-/// Ticks of a linear axis: as many digits as needed, no more.
+/// Draws grid, ticks and names of axes; an x-axis without a name has no ticks either.
+pub(super) fn draw_axes<X, Y>(
+    chart: &mut ChartContext<'_, SVGBackend<'_>, Cartesian2d<X, Y>>,
+    x_name: &str,
+    y_name: &str,
+) -> Drawing<()>
+where
+    X: Ranged<ValueType = f64> + ValueFormatter<f64>,
+    Y: Ranged<ValueType = f64> + ValueFormatter<f64>,
+{
+    let mut mesh = chart.configure_mesh();
+    mesh.light_line_style(WHITE).bold_line_style(GREY.mix(0.25)).label_style((FONT, 11)).axis_desc_style((FONT, 12));
+    mesh.x_desc(x_name).y_desc(y_name).y_labels(7).x_label_formatter(&tick).y_label_formatter(&tick);
+    if x_name.is_empty() {
+        mesh.disable_x_mesh().x_labels(0);
+    }
+    mesh.draw()?;
+    Ok(())
+}
+
+/// A tick with as many digits as it needs.
 pub(super) fn tick(value: &f64) -> String {
     if *value == 0.0 {
         return "0".to_owned();
@@ -185,15 +207,6 @@ pub(super) fn tick(value: &f64) -> String {
             let text = format!("{value:.4}");
             text.trim_end_matches('0').trim_end_matches('.').to_owned()
         }
-        _ => format!("{value:.1e}").replace(".0e", "e"),
-    }
-}
-
-/// Ticks of a logarithmic axis.
-pub(super) fn log_tick(value: &f64) -> String {
-    match value.abs() {
-        size if (1e-2..1e4).contains(&size) => tick(value),
-        // One digit, or two where it takes two.
         _ => format!("{value:.1e}").replace(".0e", "e"),
     }
 }

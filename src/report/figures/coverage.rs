@@ -2,7 +2,7 @@
 
 use plotters::prelude::*;
 
-use super::canvas::{FONT, GREY, sheet, style};
+use super::canvas::{FONT, draw_axes, sheet, style};
 use super::{Drawing, is_drawn};
 use crate::geometry::Conventions;
 use crate::report::Comparison;
@@ -33,17 +33,7 @@ pub(super) fn draw(comparison: &Comparison, system: &str) -> Drawing<Option<Stri
             .x_label_area_size(22)
             .y_label_area_size(58)
             .build_cartesian_2d(0.0..6.0, 0.0..1.05)?;
-        chart
-            .configure_mesh()
-            .disable_x_mesh()
-            .light_line_style(WHITE)
-            .bold_line_style(GREY.mix(0.25))
-            .label_style((FONT, 11))
-            .axis_desc_style((FONT, 12))
-            .x_labels(0)
-            .y_labels(6)
-            .y_desc(format!("share within {} σ", level + 1))
-            .draw()?;
+        draw_axes(&mut chart, "", &format!("share within {} σ", level + 1))?;
         for (component, name) in Conventions::COMPONENTS.iter().enumerate() {
             for (index, (_, coverage)) in methods.iter().enumerate() {
                 let left = component as f64 + 0.08 + index as f64 * width;

@@ -2,7 +2,7 @@
 
 use plotters::prelude::*;
 
-use super::canvas::{FONT, GREY, component_label, log_axis, log_tick, sheet, style};
+use super::canvas::{FONT, component_label, draw_axes, log_axis, sheet, style};
 use super::{Drawing, is_drawn, series};
 use crate::report::Comparison;
 
@@ -40,18 +40,7 @@ pub(super) fn draw(comparison: &Comparison, system: &str) -> Drawing<Option<Stri
             .x_label_area_size(22)
             .y_label_area_size(58)
             .build_cartesian_2d(0.0..boxes.len() as f64, axis)?;
-        chart
-            .configure_mesh()
-            .disable_x_mesh()
-            .light_line_style(WHITE)
-            .bold_line_style(GREY.mix(0.25))
-            .label_style((FONT, 11))
-            .axis_desc_style((FONT, 12))
-            .x_labels(0)
-            .y_desc(component_label(component))
-            .y_label_formatter(&log_tick)
-            .y_labels(7)
-            .draw()?;
+        draw_axes(&mut chart, "", &component_label(component))?;
         for (index, quantiles) in quantiles() {
             let [low, lower, middle, upper, high] = quantiles.map(|value| value.max(floor));
             let colour = style(index).colour;

@@ -2,7 +2,7 @@
 
 use plotters::prelude::*;
 
-use super::canvas::{ERROR, FONT, GREY, draw_line, full_line, log_axis, log_tick, sheet, style, tick};
+use super::canvas::{ERROR, FONT, GREY, draw_axes, draw_line, full_line, log_axis, sheet, style};
 use super::{Drawing, series};
 use crate::evaluation::Method;
 use crate::report::Comparison;
@@ -47,17 +47,7 @@ pub(super) fn draw(comparison: &Comparison, system: &str) -> Drawing<Option<Stri
             .x_label_area_size(36)
             .y_label_area_size(58)
             .build_cartesian_2d(0.0..nees.len() as f64, axis)?;
-        chart
-            .configure_mesh()
-            .disable_mesh()
-            .label_style((FONT, 11))
-            .axis_desc_style((FONT, 12))
-            .x_desc("pair")
-            .y_desc("NEES")
-            .x_label_formatter(&tick)
-            .y_label_formatter(&log_tick)
-            .y_labels(7)
-            .draw()?;
+        draw_axes(&mut chart, "pair", "NEES")?;
         let end = nees.len() as f64;
         chart.draw_series([Rectangle::new([(0.0, BAND[0]), (end, BAND[1])], GREY.mix(0.2).filled())])?;
         chart.draw_series(LineSeries::new([(0.0, MEAN), (end, MEAN)], GREY.stroke_width(2)))?;

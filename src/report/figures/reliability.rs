@@ -2,7 +2,7 @@
 
 use plotters::prelude::*;
 
-use super::canvas::{FONT, GREY, component_label, draw_line, log_axis, log_tick, sheet, style};
+use super::canvas::{GREY, component_label, draw_axes, draw_line, log_axis, sheet, style};
 use super::{Drawing, is_drawn, series};
 use crate::evaluation::{CalibrationBin, calibration_bins};
 use crate::report::Comparison;
@@ -29,19 +29,7 @@ pub(super) fn draw(comparison: &Comparison, system: &str) -> Drawing<Option<Stri
             .x_label_area_size(36)
             .y_label_area_size(58)
             .build_cartesian_2d(axis, axis)?;
-        chart
-            .configure_mesh()
-            .light_line_style(WHITE)
-            .bold_line_style(GREY.mix(0.25))
-            .label_style((FONT, 11))
-            .axis_desc_style((FONT, 12))
-            .x_desc(format!("σ of {}", component_label(component)))
-            .y_desc("RMSE")
-            .x_labels(4)
-            .x_label_formatter(&log_tick)
-            .y_label_formatter(&log_tick)
-            .y_labels(7)
-            .draw()?;
+        draw_axes(&mut chart, &format!("σ of {}", component_label(component)), "RMSE")?;
         chart.draw_series(LineSeries::new([(axis.low, axis.low), (axis.high, axis.high)], GREY))?;
         for (index, (_, bins)) in curves.iter().enumerate() {
             let points = || bins[component].iter().map(|bin| (bin.sigma, bin.error));

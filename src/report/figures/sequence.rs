@@ -2,13 +2,15 @@
 
 use plotters::prelude::*;
 
-use super::canvas::{ERROR, FONT, GREY, component_label, draw_line, full_line, sheet, style, thin, tick};
+use super::canvas::{ERROR, FONT, GREY, component_label, draw_axes, draw_line, full_line, sheet, style, thin};
 use super::{Drawing, Series, series};
 use crate::evaluation::Method;
 use crate::report::Comparison;
 
 /// More pairs than this are drawn as root mean squares of groups.
 const MOST_POINTS: usize = 1500;
+/// Results side by side; more would not fit a screen.
+const MOST_RESULTS: usize = 4;
 /// Share of points that an axis must hold.
 const SHOWN: f64 = 0.995;
 
@@ -18,7 +20,10 @@ pub(super) fn draw(comparison: &Comparison) -> Drawing<Option<String>> {
         .into_iter()
         .flat_map(|system| {
             let predictions = series(comparison, system, |judged| judged.method == Method::Predicted);
-            predictions.into_iter().map(move |series| (format!("{system}, {}", series.label), series))
+            predictions
+                .into_iter()
+                .take(MOST_RESULTS)
+                .map(move |series| (format!("{system}, {}", series.label), series))
         })
         .collect();
     let Some((_, first)) = columns.first() else { return Ok(None) };
@@ -31,10 +36,13 @@ pub(super) fn draw(comparison: &Comparison) -> Drawing<Option<String>> {
         .map(|c| columns.iter().map(|(_, series)| [grouped(series.errors(c)), grouped(series.sigma(c))]).collect())
         .collect();
     let highest: Vec<f64> = shown.iter().map(|columns| highest(columns)).collect();
-    let title = match group {
-        1 => "Predicted σ and |e| along the sequence".to_owned(),
-        group => format!("Predicted σ and |e| along the sequence, root mean squares of {group} pairs"),
-    };
+    let mut title = "Predicted σ and |e| along the sequence".to_owned();
+    if group > 1 {
+        title += &format!(", root mean squares of {group} pairs");
+    }
+    if comparison.entries.len() > MOST_RESULTS {
+        title += &format!(", the first {MOST_RESULTS} of {} results", comparison.entries.len());
+    }
     let borders: Vec<f64> = first.pairs.drives().iter().skip(1).map(|drive| drive.start as f64).collect();
     let size = [60 + 440 * columns.len() as u32, 38 + 6 * 150];
     let line = style(0);
@@ -49,20 +57,8 @@ pub(super) fn draw(comparison: &Comparison) -> Drawing<Option<String>> {
             builder.caption(&columns[column].0, (FONT, 14));
         }
         let mut chart = builder.build_cartesian_2d(0.0..pairs, 0.0..highest[component])?;
-        let mut mesh = chart.configure_mesh();
-        mesh.disable_x_mesh()
-            .light_line_style(WHITE)
-            .bold_line_style(GREY.mix(0.25))
-            .label_style((FONT, 11))
-            .y_labels(5);
-        mesh.x_label_formatter(&tick).y_label_formatter(&tick).x_labels(6).axis_desc_style((FONT, 12));
-        if column == 0 {
-            mesh.y_desc(component_label(component));
-        }
-        if component == 5 {
-            mesh.x_desc("pair");
-        }
-        mesh.draw()?;
+        let name = if column == 0 { component_label(component) } else { String::new() };
+        draw_axes(&mut chart, if component == 5 { "pair" } else { " " }, &name)?;
         for &border in &borders {
             chart.draw_series(LineSeries::new([(border, 0.0), (border, highest[component])], GREY.mix(0.5)))?;
         }

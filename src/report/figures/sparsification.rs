@@ -2,7 +2,7 @@
 
 use plotters::prelude::*;
 
-use super::canvas::{FONT, GREY, component_label, draw_line, sheet, style, tick};
+use super::canvas::{component_label, draw_axes, draw_line, sheet, style};
 use super::{Drawing, is_drawn, series};
 use crate::evaluation::sparsification_curve;
 use crate::report::Comparison;
@@ -24,17 +24,7 @@ pub(super) fn draw(comparison: &Comparison, system: &str) -> Drawing<Option<Stri
             .x_label_area_size(36)
             .y_label_area_size(58)
             .build_cartesian_2d(0.0..1.0, 0.0..1.4)?;
-        chart
-            .configure_mesh()
-            .light_line_style(WHITE)
-            .bold_line_style(GREY.mix(0.25))
-            .label_style((FONT, 11))
-            .axis_desc_style((FONT, 12))
-            .x_desc("share left out")
-            .y_desc(format!("mean |e| of {}, relative", component_label(component)))
-            .x_label_formatter(&tick)
-            .y_label_formatter(&tick)
-            .draw()?;
+        draw_axes(&mut chart, "share left out", &format!("mean |e| of {}, relative", component_label(component)))?;
         let errors = first.errors(component);
         let sizes: Vec<f64> = errors.iter().map(|error| error.abs()).collect();
         let perfect = thinned(sparsification_curve(&sizes, &errors));

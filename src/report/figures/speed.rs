@@ -2,7 +2,7 @@
 
 use plotters::prelude::*;
 
-use super::canvas::{FONT, GREY, component_label, draw_line, log_axis, log_tick, sheet, style, tick};
+use super::canvas::{component_label, draw_axes, draw_line, log_axis, sheet, style};
 use super::{Drawing, Series, series};
 use crate::evaluation::Method;
 use crate::report::Comparison;
@@ -37,18 +37,7 @@ pub(super) fn draw(comparison: &Comparison, system: &str) -> Drawing<Option<Stri
             .x_label_area_size(36)
             .y_label_area_size(58)
             .build_cartesian_2d(0.0..1.05 * fastest, axis)?;
-        chart
-            .configure_mesh()
-            .light_line_style(WHITE)
-            .bold_line_style(GREY.mix(0.25))
-            .label_style((FONT, 11))
-            .axis_desc_style((FONT, 12))
-            .x_desc("speed [m/s]")
-            .y_desc(format!("σ of {}", component_label(component)))
-            .x_label_formatter(&tick)
-            .y_label_formatter(&log_tick)
-            .y_labels(7)
-            .draw()?;
+        draw_axes(&mut chart, "speed [m/s]", &format!("σ of {}", component_label(component)))?;
         for (index, ((series, speeds), sigma)) in drawn.iter().zip(&sigmas).enumerate() {
             // Dots of predictions only: those of a law lie on its curve.
             if series.method == Method::Predicted {
