@@ -135,3 +135,19 @@ fn interval_s(dataset: &Dataset, drive: usize, source: usize, target: usize) -> 
     let times: &BTreeMap<usize, f64> = &dataset.drives[drive].timestamps_s;
     Some(times.get(&target)? - times.get(&source)?).filter(|&interval| interval > 0.0)
 }
+
+/// A measurement with equal errors and variances in all components, whose true σ is 0.2.
+#[cfg(test)]
+pub(super) fn made_row(source: usize, error: f64, variance: f64) -> PairRow {
+    use crate::geometry::Tangent;
+    PairRow {
+        drive: Arc::from("drive"),
+        source,
+        target: source + 1,
+        interval_s: Some(0.1),
+        motion: None,
+        error: [error; 6],
+        covariance: Some(Covariance6::from_variances(&Tangent::repeat(variance))),
+        stated: Some(Covariance6::from_std_devs(&Tangent::repeat(0.2))),
+    }
+}

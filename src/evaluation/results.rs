@@ -217,24 +217,9 @@ impl Evaluation {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use super::*;
     use crate::evaluation::PairRow;
-    use crate::geometry::Tangent;
-
-    fn row(source: usize, error: f64, variance: f64) -> PairRow {
-        PairRow {
-            drive: Arc::from("drive"),
-            source,
-            target: source + 1,
-            interval_s: Some(0.1),
-            motion: None,
-            error: [error; 6],
-            covariance: Some(Covariance6::from_variances(&Tangent::repeat(variance))),
-            stated: Some(Covariance6::from_std_devs(&Tangent::repeat(0.2))),
-        }
-    }
+    use crate::evaluation::pair_table::made_row as row;
 
     fn origin() -> Origin {
         Origin {

@@ -42,24 +42,10 @@ pub fn separation(table: &PairTable) -> Option<Separation> {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use super::*;
     use crate::evaluation::SystemPairs;
-    use crate::geometry::{ErrorFrame, Tangent};
-
-    fn row(source: usize, error: f64, variance: f64) -> PairRow {
-        PairRow {
-            drive: Arc::from("drive"),
-            source,
-            target: source + 1,
-            interval_s: None,
-            motion: None,
-            error: [error; 6],
-            covariance: Some(Covariance6::from_variances(&Tangent::repeat(variance))),
-            stated: None,
-        }
-    }
+    use crate::evaluation::pair_table::made_row as row;
+    use crate::geometry::ErrorFrame;
 
     #[test]
     fn systems_are_told_apart_on_the_images_they_share() {
