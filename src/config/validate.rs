@@ -2,6 +2,7 @@
 
 use super::{Config, DepthConfig, DriveConfig, MinLogVariance};
 use crate::error::{Error, Result};
+use crate::files::is_plain;
 use crate::model::ImagePair;
 use crate::synthetic::{SyntheticSettings, drive_name};
 
@@ -187,11 +188,6 @@ impl Config {
             format!("{tolerance} is negative")
         })
     }
-}
-
-/// Fit to name a folder and a column.
-fn is_plain(name: &str) -> bool {
-    !name.is_empty() && !name.starts_with('.') && name.chars().all(|c| c.is_alphanumeric() || "-_.".contains(c))
 }
 
 fn require(condition: bool, key: &str, problem: impl FnOnce() -> String) -> Result<()> {

@@ -20,10 +20,12 @@ use nalgebra::Matrix6;
 
 use super::pair_table::{PairRow, PairTable, SystemPairs};
 use crate::error::{Error, Place, Result};
-use crate::files::write_atomically;
+use crate::files::{is_plain, write_atomically};
 use crate::geometry::{Conventions, Covariance6, ErrorFrame};
 
 const KEYS: [&str; 4] = ["system", "drive", "source", "target"];
+/// Largest error that a relative pose can have, m or rad: scores of larger ones are no finite numbers.
+const LARGEST: f64 = 1e6;
 const INTERVAL: &str = "interval_s";
 const SIMULATED: &str = "simulated";
 
@@ -58,9 +60,11 @@ fn to_csv(table: &PairTable) -> Result<Vec<u8>, csv::Error> {
     let predicted = rows().any(|row| row.covariance.is_some());
     let full = rows().any(|row| row.covariance.is_some_and(|covariance| !covariance.is_diagonal()));
     let stated = rows().any(|row| row.stated.is_some());
+    let moved = rows().any(|row| row.motion.is_some());
+    let timed = rows().any(|row| row.interval_s.is_some());
     let mut header: Vec<String> = KEYS.map(str::to_owned).into();
-    header.push(INTERVAL.to_owned());
-    header.extend(columns("motion"));
+    header.extend(timed.then(|| INTERVAL.to_owned()));
+    header.extend(moved.then(|| columns("motion")).into_iter().flatten());
     header.extend(columns("error"));
     header.extend(predicted.then(|| columns("variance")).into_iter().flatten());
     header.extend(full.then(|| entry_columns("covariance", 1)).into_iter().flatten());
@@ -75,10 +79,14 @@ fn to_csv(table: &PairTable) -> Result<Vec<u8>, csv::Error> {
         for row in &system.rows {
             let mut record =
                 vec![system.name.clone(), row.drive.to_string(), row.source.to_string(), row.target.to_string()];
-            record.push(cell(row.interval_s));
+            if timed {
+                record.push(cell(row.interval_s));
+            }
             let entry =
                 |covariance: &Option<Covariance6>, at| cell(covariance.map(|covariance| covariance.matrix()[at]));
-            record.extend((0..6).map(|c| cell(row.motion.map(|motion| motion[c]))));
+            if moved {
+                record.extend((0..6).map(|c| cell(row.motion.map(|motion| motion[c]))));
+            }
             record.extend(row.error.map(|error| cell(Some(error))));
             if predicted {
                 record.extend((0..6).map(|c| entry(&row.covariance, (c, c))));
@@ -103,7 +111,11 @@ fn to_csv(table: &PairTable) -> Result<Vec<u8>, csv::Error> {
 /// stands there twice; a column is unknown.
 pub fn read_pairs(path: &Path, error_frame: ErrorFrame) -> Result<PairTable> {
     let file = std::fs::File::open(path).map_err(Error::io("read", path))?;
-    let mut reader = csv::Reader::from_reader(std::io::BufReader::new(file));
+    // A line ends with its line feed, so that lines of Windows files are counted right.
+    let mut reader = csv::ReaderBuilder::new()
+        .terminator(csv::Terminator::Any(b'\n'))
+        .trim(csv::Trim::All)
+        .from_reader(std::io::BufReader::new(file));
     let broken = |line: u64, problem: String| {
         Error::malformed(path, Place::Line(line as usize), problem, "a row of pairs (`relcov eval --help`)")
     };
@@ -120,6 +132,12 @@ pub fn read_pairs(path: &Path, error_frame: ErrorFrame) -> Result<PairTable> {
         let line = record.position().map_or(0, csv::Position::line);
         let row = Row { path, line, header: &header, record: &record };
         let name = row.text(layout.keys[0])?;
+        if !is_plain(name) {
+            return Err(row.broken(
+                format!("a system named `{name}`"),
+                "letters, digits, - and _, for it names files and columns",
+            ));
+        }
         let index = systems.iter().position(|system| system.name == name).unwrap_or_else(|| {
             systems.push(SystemPairs { name: name.to_owned(), simulated: false, rows: Vec::new() });
             systems.len() - 1
@@ -137,8 +155,11 @@ pub fn read_pairs(path: &Path, error_frame: ErrorFrame) -> Result<PairTable> {
             source,
             target,
             interval_s: layout.interval.map(|column| row.optional(column)).transpose()?.flatten(),
-            motion: layout.motion.map(|columns| row.numbers(&columns)).transpose()?,
-            error: row.numbers(&layout.error)?,
+            motion: match &layout.motion {
+                Some(columns) if !row.is_empty(columns[0]) => Some(row.numbers(columns)?),
+                _ => None,
+            },
+            error: row.error(&layout.error)?,
             covariance: layout.predicted.as_ref().map(|entries| row.covariance(entries)).transpose()?,
             stated: match &layout.stated {
                 Some(entries) if !row.is_empty(entries[0].1) => Some(row.covariance(entries)?),
@@ -269,12 +290,24 @@ impl Row<'_> {
         Ok(numbers)
     }
 
+    fn error(&self, columns: &[usize; 6]) -> Result<[f64; 6]> {
+        let error = self.numbers(columns)?;
+        match error.iter().position(|value| value.abs() > LARGEST) {
+            None => Ok(error),
+            Some(c) => {
+                let found = format!("`{}` = {:e}", &self.header[columns[c]], error[c]);
+                Err(self.broken(found, "an error in metres or radians, at most 1e6"))
+            }
+        }
+    }
+
     fn covariance(&self, entries: &Entries) -> Result<Covariance6> {
         let mut matrix = Matrix6::zeros();
         for &((row, column), place) in entries {
             let value = self.number(place)?;
-            if row == column && value <= 0.0 {
-                return Err(self.broken(format!("`{}` = {value}", &self.header[place]), "a variance above zero"));
+            if row == column && !(value > 0.0 && value <= LARGEST * LARGEST) {
+                let found = format!("`{}` = {value}", &self.header[place]);
+                return Err(self.broken(found, "a variance above zero, at most 1e12"));
             }
             (matrix[(row, column)], matrix[(column, row)]) = (value, value);
         }
@@ -319,7 +352,19 @@ mod tests {
 
     #[test]
     fn a_table_survives_its_file() {
-        assert_eq!(read(&to_csv(&table()).unwrap()).unwrap(), table());
+        let mut table = table();
+        let csv = to_csv(&table).unwrap();
+        assert_eq!(read(&csv).unwrap(), table);
+        // As a spreadsheet on Windows writes it.
+        let windows = format!("\u{feff}{}", String::from_utf8(csv).unwrap().replace('\n', "\r\n"));
+        assert_eq!(read(windows.as_bytes()).unwrap(), table);
+        let broken = windows.replace("2.5e-1", "-1");
+        assert!(read(broken.as_bytes()).unwrap_err().to_string().contains("line 3"));
+        for row in &mut table.systems[0].rows {
+            (row.motion, row.interval_s, row.covariance, row.stated) = (None, None, None, None);
+        }
+        table.systems[0].simulated = false;
+        assert_eq!(read(&to_csv(&table).unwrap()).unwrap(), table);
     }
 
     #[test]
@@ -328,8 +373,13 @@ mod tests {
         let rows: Vec<&str> = good.lines().collect();
         for (text, expected) in [
             (good.replacen("vo,", ",", 1), "line 2: found no `system`"),
+            (good.replacen("vo,", "../vo,", 1), "line 2: found a system named `../vo`"),
+            (good.replacen(",3e-1,", ",3e9,", 1), "line 2: found `error_z` = 3e9"),
             (good.replacen(",3e-1,", ",NaN,", 1), "line 2: found `error_z` = `NaN`; expected a finite number"),
-            (good.replacen("2.5e-1", "-1", 1), "line 3: found `variance_x` = -1; expected a variance above zero"),
+            (
+                good.replacen("2.5e-1", "-1", 1),
+                "line 3: found `variance_x` = -1; expected a variance above zero, at most 1e12",
+            ),
             (good.replacen("2.5e-1", "0", 1), "`variance_x` = 0"),
             (good.replacen("2.5e-1", "", 1), "`variance_x` = ``"),
             (good.replacen("variance_yaw", "varianse_yaw", 1), "an unknown column `varianse_yaw`"),

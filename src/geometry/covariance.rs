@@ -4,6 +4,9 @@ use nalgebra::{Matrix6, Vector6};
 
 use super::Pose;
 
+/// The square of a kilometre over this is a finite number.
+const LEAST_VARIANCE: f64 = 1e-280;
+
 /// Covariance of `e = log(T̂ T⁻¹)`: a left perturbation, order ρ then φ, m² and rad².
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Covariance6(Matrix6<f64>);
@@ -82,9 +85,9 @@ impl Covariance6 {
         self.variance().map(f64::sqrt)
     }
 
-    /// Whether every entry is a number and every direction has a variance above zero.
+    /// Whether every entry is a number and every direction has a variance that an error can be divided by.
     pub fn is_positive(&self) -> bool {
-        self.pivots().is_some()
+        self.pivots().is_some_and(|pivots| pivots.min() >= LEAST_VARIANCE)
     }
 
     /// Whether no two components are correlated.

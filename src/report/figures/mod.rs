@@ -135,7 +135,7 @@ pub fn draw_figures(comparison: &Comparison) -> Result<Vec<Figure>> {
             continue;
         };
         figures.push(Figure {
-            name: format!("losses_{}", entry.name),
+            name: format!("losses_{}", entry.name.replace(|c: char| !c.is_alphanumeric(), "_")),
             caption: format!("{}: loss over the epochs of its training; dashed: on the watched pairs.", entry.name),
             svg: read_text(&path)?,
         });
