@@ -48,6 +48,7 @@ fn judge(criterion: &mut Criterion) {
         unreadable_frames: Vec::new(),
         recalibration: None,
         log_variance_floor: None,
+        configuration: None,
     };
     let evaluate = || evaluate_table(&table, &baselines, origin.clone()).expect("a prediction for each pair");
     let mut group = criterion.benchmark_group("judge 100,000 pairs");

@@ -11,12 +11,12 @@ use super::{Overrides, Terminal, synth};
 use crate::config::Config;
 use crate::data::{BadFrame, Dataset, PairReader, PairScope, SplitName};
 use crate::device::{device_name, open_device};
-use crate::error::Error;
+use crate::error::{Error, Place};
 use crate::evaluation::{
-    Baselines, Evaluation, Method, Origin, PairTable, Prediction, Recalibration, evaluate_table, perturbation_response,
+    Baselines, Method, Origin, PairTable, Prediction, Recalibration, evaluate_table, perturbation_response,
     predict_split, read_pairs, write_pairs,
 };
-use crate::geometry::ErrorFrame;
+use crate::geometry::{Conventions, ErrorFrame};
 use crate::report::figures::write_figures;
 use crate::report::{Comparison, Entry};
 use crate::training::{EVALUATION, FIGURES, Manifest, PAIRS, RunFolder};
@@ -61,7 +61,7 @@ pub struct EvalArguments {
     #[arg(long, value_enum, default_value = "test", conflicts_with = "pairs")]
     split: SplitArgument,
     /// Fit the factors that make variances right to the validation split again, and keep them in the run
-    #[arg(long, requires = "run")]
+    #[arg(long, requires = "run", conflicts_with = "config")]
     recalibrate: bool,
     #[command(flatten)]
     output: OutputArguments,
@@ -84,7 +84,14 @@ enum FrameArgument {
 }
 
 pub fn run(arguments: EvalArguments, terminal: &Terminal) -> anyhow::Result<()> {
-    arguments.output.check()?;
+    arguments.output.check(1)?;
+    let Overrides { set, device } = &arguments.overrides;
+    if arguments.pairs.is_some() && !(set.is_empty() && device.is_none()) {
+        return Err(Error::Data("--set and --device change nothing about --pairs; leave them out".to_owned()).into());
+    }
+    if let Some(key) = set.iter().find(|key| arguments.run.is_some() && key.trim_start().starts_with("model.")) {
+        return Err(Error::config(key, "a trained model keeps its shape; train another run for another one").into());
+    }
     let split = match arguments.split {
         SplitArgument::Train => SplitName::Train,
         SplitArgument::Validation => SplitName::Validation,
@@ -106,6 +113,7 @@ pub fn run(arguments: EvalArguments, terminal: &Terminal) -> anyhow::Result<()> 
         (_, _, Some(config)) => evaluate_baselines(arguments.overrides.load(config)?, config, split)?,
         (None, None, None) => unreachable!("clap requires one of them"),
     };
+    report_gaps(&entry, terminal);
     let comparison = Comparison::new(vec![entry])?;
     // The table first: a folder that cannot be written must not cost it.
     arguments.output.deliver(&comparison, terminal)?;
@@ -116,6 +124,7 @@ pub fn run(arguments: EvalArguments, terminal: &Terminal) -> anyhow::Result<()> 
 pub fn store_in_run(comparison: &Comparison, terminal: &Terminal) -> anyhow::Result<()> {
     for entry in &comparison.entries {
         let Some(folder) = &entry.folder else { continue };
+        RunFolder::open(folder)?.remove_figures()?;
         entry.evaluation.write(&folder.join(EVALUATION))?;
         write_pairs(&folder.join(PAIRS), &entry.table)?;
         let figures = write_figures(comparison, &folder.join(FIGURES))?;
@@ -178,9 +187,11 @@ pub fn evaluate_run(
         Recalibrate::Anew => {
             let reader = Arc::new(PairReader::new(&config, &dataset, SplitName::Validation));
             let predictions = predict(SplitName::Validation, &reader)?;
-            let fitted = Recalibration::fit(&predictions, &dataset.systems, SplitName::Validation.name());
+            let learned = manifest.systems.iter().filter(|system| system.share > 0.0);
+            let learned: Vec<&str> = learned.map(|system| system.name.as_str()).collect();
+            let fitted = Recalibration::fit(&predictions, &dataset.systems, &learned, SplitName::Validation.name());
             let fitted =
-                fitted.ok_or_else(|| Error::Data("no validation pair has errors to fit factors to".to_owned()))?;
+                fitted.ok_or_else(|| Error::Data("no factors can be fitted: every component of the learned systems needs errors on the validation pairs".to_owned()))?;
             run.write_recalibration(&fitted)?;
             Some(fitted)
         }
@@ -201,11 +212,11 @@ pub fn evaluate_run(
         unreadable_frames: bad_frames.iter().map(describe).collect(),
         recalibration,
         log_variance_floor: architecture.log_variance_floor,
+        configuration: Some(config.to_toml()),
     };
     let mut evaluation = evaluate_table(&table, &baselines(&manifest), origin)?;
     evaluation.perturbation_response =
         perturbation_response(&model, &reader, &dataset, dataset.require(split)?, &manifest, &device)?;
-    report_gaps(&evaluation, &table, terminal);
     for bad in &bad_frames {
         note(false, &format!("left out: {}", describe(bad)));
     }
@@ -223,13 +234,22 @@ fn describe(bad: &BadFrame) -> String {
 }
 
 /// What a reader may miss in the table.
-fn report_gaps(evaluation: &Evaluation, table: &PairTable, terminal: &Terminal) {
-    for (name, system) in evaluation.systems.iter() {
+pub fn report_gaps(entry: &Entry, terminal: &Terminal) {
+    for (name, system) in entry.evaluation.systems.iter() {
         if system.baselines.is_none() {
             note(terminal.quiet, &format!("no constant baseline for `{name}`: nothing was fitted to it"));
         }
     }
-    for system in &table.systems {
+    for system in &entry.table.systems {
+        for (c, component) in Conventions::COMPONENTS.iter().enumerate() {
+            if !system.is_truth() && system.rows.iter().all(|row| row.error[c] == 0.0) {
+                let text = format!(
+                    "`{}` has no errors in {component}: baselines fitted to such have no likelihood",
+                    system.name
+                );
+                note(terminal.quiet, &text);
+            }
+        }
         let (pairs, stated) = (system.rows.len(), system.rows.iter().filter(|row| row.stated.is_some()).count());
         if stated > 0 && stated < pairs {
             let name = &system.name;
@@ -263,6 +283,10 @@ fn evaluate_baselines(mut config: Config, path: &Path, split: SplitName) -> anyh
 /// Predictions that another program made.
 fn evaluate_file(pairs: &Path, fit: Option<&Path>, frame: ErrorFrame) -> anyhow::Result<Entry> {
     let table = read_pairs(pairs, frame)?;
+    if table.systems.iter().flat_map(|system| &system.rows).all(|row| row.covariance.is_none()) {
+        let expected = "variance_x, variance_y, variance_z, variance_roll, variance_pitch, variance_yaw";
+        return Err(Error::malformed(pairs, Place::Line(1), "no predicted variances", expected).into());
+    }
     let fitted = match fit {
         None => Vec::new(),
         Some(path) => {
@@ -288,5 +312,6 @@ fn origin_of_file(path: &Path, predicted: Option<String>, split: &str) -> Origin
         unreadable_frames: Vec::new(),
         recalibration: None,
         log_variance_floor: None,
+        configuration: None,
     }
 }

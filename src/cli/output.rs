@@ -31,8 +31,11 @@ pub struct OutputArguments {
 }
 
 impl OutputArguments {
-    /// Finds out before the work whether its results can be written.
-    pub fn check(&self) -> Result<()> {
+    /// Finds out before the work whether its results, so many, can be written.
+    pub fn check(&self, results: usize) -> Result<()> {
+        if self.save_results.is_some() && results != 1 {
+            return Err(Error::Data(format!("--save-results takes one result, not {results}")));
+        }
         if let Some(path) = &self.save_table {
             table_format(path)?;
         }
@@ -41,10 +44,13 @@ impl OutputArguments {
         {
             return Err(Error::Data(format!("--save-results {}: the file's name must end in .json", path.display())));
         }
-        for path in [&self.save_table, &self.save_results].into_iter().flatten() {
-            let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-            std::fs::create_dir_all(folder).map_err(Error::io("create the folder", folder))?;
+        if let (Some(table), Some(results)) = (&self.save_table, &self.save_results)
+            && *table == results.with_extension("csv")
+        {
+            let problem = "--save-results writes its measurements there; name the table otherwise";
+            return Err(Error::Data(format!("--save-table {}: {problem}", table.display())));
         }
+        [&self.save_table, &self.save_results].into_iter().flatten().try_for_each(|path| make_folder(path))?;
         if let Some(folder) = &self.save_plot {
             std::fs::create_dir_all(folder).map_err(Error::io("create the folder", folder))?;
         }
@@ -56,15 +62,14 @@ impl OutputArguments {
     pub fn deliver(&self, comparison: &Comparison, terminal: &Terminal) -> anyhow::Result<()> {
         let intervals = if self.intervals { Intervals::Shown } else { Intervals::Hidden };
         print_result(&render_results(comparison, self.format, intervals))?;
+        comparison.warnings.iter().for_each(|warning| note(false, &format!("warning: {warning}")));
         let wrote = |path: &Path| note(terminal.quiet, &format!("wrote {}", path.display()));
         if let Some(path) = &self.save_table {
             write_atomically(path, render_results(comparison, table_format(path)?, intervals).as_bytes())?;
             wrote(path);
         }
         if let Some(path) = &self.save_results {
-            let [entry] = comparison.entries.as_slice() else {
-                return Err(Error::Data("--save-results takes one result, not several; give one run".to_owned()).into());
-            };
+            let [entry] = comparison.entries.as_slice() else { unreachable!("checked before") };
             entry.evaluation.write(path)?;
             write_pairs(&path.with_extension("csv"), &entry.table)?;
             wrote(path);
@@ -75,6 +80,12 @@ impl OutputArguments {
         }
         Ok(())
     }
+}
+
+/// Makes the folder of a file that is yet to be written.
+pub fn make_folder(path: &Path) -> Result<()> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    std::fs::create_dir_all(folder).map_err(Error::io("create the folder", folder))
 }
 
 fn table_format(path: &Path) -> Result<TableFormat> {

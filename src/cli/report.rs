@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::Terminal;
-use super::output::OutputArguments;
+use super::output::{OutputArguments, make_folder};
 use super::progress::note;
 use crate::error::Result;
 use crate::files::write_atomically;
@@ -32,7 +32,8 @@ pub struct ReportArguments {
 }
 
 pub fn run(arguments: &ReportArguments, terminal: &Terminal) -> anyhow::Result<()> {
-    arguments.output.check()?;
+    arguments.output.check(arguments.results.len())?;
+    arguments.html.as_deref().map(make_folder).transpose()?;
     let entries = arguments.results.iter().map(|path| Entry::load(path)).collect::<Result<Vec<_>>>()?;
     let comparison = Comparison::new(entries)?;
     arguments.output.deliver(&comparison, terminal)?;

@@ -71,6 +71,7 @@ pub fn run(arguments: TrainArguments, terminal: &Terminal) -> anyhow::Result<()>
     let run = learner.run().path().to_owned();
     drop(learner);
     let entry = eval::evaluate_run(&run, None, SplitName::Test, Recalibrate::AsStored, &arguments.overrides, terminal)?;
+    eval::report_gaps(&entry, terminal);
     let comparison = Comparison::new(vec![entry])?;
     print_result(&render_results(&comparison, TableFormat::Text, Intervals::Hidden))?;
     eval::store_in_run(&comparison, terminal)

@@ -70,10 +70,12 @@ fn read_layers(text: &str, path: &Path, folder: &Path, layers_left: usize) -> Re
         return Err(Error::malformed(path, field(), base.to_string(), "the path of a configuration"));
     };
     if layers_left == 0 {
-        return Err(Error::malformed(path, field(), base, "files that do not extend one another in a circle"));
+        let expected = format!("at most {MOST_LAYERS} files that extend one another, and none in a circle");
+        return Err(Error::malformed(path, field(), base, expected));
     }
     let base = folder.join(base);
-    let text = read_text(&base)?;
+    let text = read_text(&base)
+        .map_err(|error| Error::malformed(path, field(), error.to_string(), "a configuration that can be read"))?;
     let mut layered = read_layers(&text, &base, base.parent().unwrap_or(Path::new("")), layers_left - 1)?;
     name_default_sources(&mut layered);
     lay_over(&mut layered, table);

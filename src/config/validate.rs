@@ -115,8 +115,9 @@ impl Config {
             )?;
         }
         if let Some(name) = &self.training.watch_system {
-            let known = self.systems.iter().any(|system| &system.name == name);
-            require(known, "training.watch_system", || format!("`{name}` is none of the systems"))?;
+            let known = learned().any(|system| &system.name == name);
+            let problem = || format!("`{name}` is none of the systems that are learned from");
+            require(known, "training.watch_system", problem)?;
         }
         Ok(())
     }

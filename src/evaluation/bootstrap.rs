@@ -1,5 +1,5 @@
 //! Intervals for scores of autocorrelated errors: the circular block bootstrap (Politis and Romano 1992),
-//! blocks within drives, as long as the errors stay correlated (Politis and White 2004).
+//! blocks as long as the errors stay correlated (Politis and White 2004).
 
 use std::ops::Range;
 
@@ -39,9 +39,11 @@ pub struct Resamples {
 }
 
 impl Resamples {
-    /// Resamples rows that follow one another within each of `drives`; `None` for fewer than two rows.
-    pub fn new(drives: &[Range<usize>], block_length: usize) -> Option<Self> {
-        let rows: usize = drives.iter().map(Range::len).sum();
+    /// Resamples rows that stand in the order of time; `None` for fewer than two.
+    ///
+    /// After the last row comes the first, and after the last of a drive the first of the next: every row is drawn
+    /// equally often, at the price of a few blocks that hold parts of two drives.
+    pub fn new(rows: usize, block_length: usize) -> Option<Self> {
         if rows < 2 {
             return None;
         }
@@ -57,14 +59,12 @@ impl Resamples {
             let (mut blocks, mut left) = (Vec::new(), rows);
             while left > 0 {
                 let start = random.random_range(0..rows);
-                let drive = drives.iter().find(|drive| drive.contains(&start)).expect("drives cover all rows");
-                let length = settings.block_length.min(drive.len()).min(left);
-                let end = (start + length).min(drive.end);
+                let length = settings.block_length.min(left);
+                let end = (start + length).min(rows);
                 blocks.push(start as u32..end as u32);
-                // Past the end of its drive a block goes on at the drive's beginning.
                 let rest = length - (end - start);
                 if rest > 0 {
-                    blocks.push(drive.start as u32..(drive.start + rest) as u32);
+                    blocks.push(0..rest as u32);
                 }
                 left -= length;
             }
@@ -81,15 +81,10 @@ impl Resamples {
     /// Interval of the mean of a value of each row.
     pub fn mean_interval(&self, values: &[f64]) -> [f64; 2] {
         assert_eq!(values.len(), self.rows, "a value for each row");
-        let mut sums = Vec::with_capacity(values.len() + 1);
-        sums.push(0.0);
-        sums.extend(values.iter().scan(0.0, |sum, value| {
-            *sum += value;
-            Some(*sum)
-        }));
-        let sum = |block: &Range<u32>| sums[block.end as usize] - sums[block.start as usize];
-        let means = self.blocks.iter().map(|blocks| blocks.iter().map(sum).sum::<f64>() / self.rows as f64);
-        self.interval(means.collect())
+        // Block by block: differences of running sums would drown small values beside one huge one.
+        let sum = |block: &Range<u32>| values[block.start as usize..block.end as usize].iter().sum::<f64>();
+        let mean = |blocks: &Vec<Range<u32>>| blocks.iter().map(sum).sum::<f64>() / self.rows as f64;
+        self.interval(self.blocks.par_iter().map(mean).collect())
     }
 
     /// Intervals of the medians of several values of each row.
@@ -205,7 +200,7 @@ mod tests {
     #[test]
     fn the_interval_of_a_mean_is_that_of_theory() {
         let values = noise(4000, 0.0);
-        let resamples = Resamples::new(&[0..1500, 1500..4000], 1).unwrap();
+        let resamples = Resamples::new(4000, 1).unwrap();
         let [low, high] = resamples.mean_interval(&values);
         let expected = 2.0 * 1.96 / 4000_f64.sqrt();
         assert!(((high - low) / expected - 1.0).abs() < 0.1, "{} against {expected}", high - low);
@@ -220,7 +215,7 @@ mod tests {
         assert!(optimal_block_length(&independent) < 8.0, "{}", optimal_block_length(&independent));
         let length = optimal_block_length(&correlated);
         assert!((30.0..120.0).contains(&length), "{length}");
-        let resamples = Resamples::new(std::slice::from_ref(&(0..4000)), length.ceil() as usize).unwrap();
+        let resamples = Resamples::new(4000, length.ceil() as usize).unwrap();
         let [low, high] = resamples.mean_interval(&correlated);
         // Of a mean of an AR(1) process: √((1 + .9) / (1 − .9)) times that of independent values.
         let expected = 19_f64.sqrt() * 2.0 * 1.96 / 4000_f64.sqrt();
@@ -228,17 +223,24 @@ mod tests {
     }
 
     #[test]
-    fn resamples_are_full_and_blocks_stay_in_their_drives() {
-        let drives = [0..5, 5..40];
-        let resamples = Resamples::new(&drives, 8).unwrap();
+    fn every_row_is_drawn_equally_often() {
+        let resamples = Resamples::new(40, 8).unwrap();
+        let mut counts = [0.0_f64; 40];
         for blocks in &resamples.blocks {
             assert_eq!(blocks.iter().map(Range::len).sum::<usize>(), 40);
-            let within = |block: &Range<u32>| {
-                drives.iter().any(|drive| drive.contains(&(block.start as usize)) && block.end as usize <= drive.end)
-            };
-            assert!(blocks.iter().all(within));
+            blocks.iter().flat_map(Clone::clone).for_each(|row| counts[row as usize] += 1.0);
         }
+        // 1,000 resamples of 5 blocks: a row is in 1,000 of these on average, give or take √(5,000 x .2 x .8).
+        assert!(counts.iter().all(|count| (count - 1000.0).abs() < 5.0 * 28.3), "{counts:?}");
         assert_eq!(optimal_block_length(&[1.0; 50]), 1.0);
-        assert!(Resamples::new(std::slice::from_ref(&(0..1)), 1).is_none());
+        assert!(Resamples::new(1, 1).is_none());
+    }
+
+    #[test]
+    fn one_huge_value_leaves_the_resamples_without_it_alone() {
+        let mut values = noise(200, 0.0);
+        values[0] = 1e20;
+        let [low, _] = Resamples::new(200, 1).unwrap().mean_interval(&values);
+        assert!(low.abs() < 1.0 && low != 0.0, "{low}");
     }
 }

@@ -33,6 +33,7 @@ pub use pair_file::{read_pairs, write_pairs};
 pub use pair_table::{PairRow, PairTable, SystemPairs};
 pub use perturbation::{PerturbationResponse, perturbation_response};
 pub use prediction::{Prediction, mean_loss, predict_split, read_values, share_at_floor};
+pub use ranks::quantile;
 pub use recalibration::Recalibration;
 pub use results::{Evaluation, Origin, SystemEvaluation, evaluate_table};
 pub use separation::{Separation, separation};

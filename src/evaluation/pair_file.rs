@@ -149,7 +149,7 @@ pub fn read_pairs(path: &Path, error_frame: ErrorFrame) -> Result<PairTable> {
             let found = format!("{name} {drive} frames {source} and {target} again, first on line {first}");
             return Err(broken(line, found));
         }
-        systems[index].simulated |= layout.simulated.is_some_and(|column| record.get(column) == Some("true"));
+        systems[index].simulated |= layout.simulated.map_or(Ok(false), |column| row.flag(column))?;
         systems[index].rows.push(PairRow {
             drive,
             source,
@@ -202,7 +202,10 @@ impl Layout {
             vec![INTERVAL.to_owned(), SIMULATED.to_owned()],
         ];
         let broken = |found: String, expected: String| Error::malformed(path, Place::Line(1), found, expected);
-        for name in header {
+        for (index, name) in header.iter().enumerate() {
+            if header.iter().take(index).any(|before| before == name) {
+                return Err(broken(format!("a second column `{name}`"), "each column once".to_owned()));
+            }
             if !groups.iter().flatten().any(|known| known == name) {
                 return Err(broken(
                     format!("an unknown column `{name}`"),
@@ -276,6 +279,14 @@ impl Row<'_> {
         let text = self.record[column].trim();
         let value = text.parse::<f64>().ok().filter(|value| value.is_finite());
         value.ok_or_else(|| self.broken(format!("`{}` = `{text}`", &self.header[column]), "a finite number"))
+    }
+
+    fn flag(&self, column: usize) -> Result<bool> {
+        match self.record[column].to_ascii_lowercase().as_str() {
+            "true" | "1" | "yes" => Ok(true),
+            "false" | "0" | "no" | "" => Ok(false),
+            text => Err(self.broken(format!("`{}` = `{text}`", &self.header[column]), "true or false")),
+        }
     }
 
     fn optional(&self, column: usize) -> Result<Option<f64>> {

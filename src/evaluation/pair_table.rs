@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use super::prediction::Prediction;
 use crate::data::{Dataset, Split};
+use crate::files::sha256_hex;
 use crate::geometry::{Covariance6, ErrorFrame};
 
 /// All systems of a split.
@@ -65,7 +66,7 @@ impl PairTable {
                 covariance: Some(prediction.covariance),
                 stated: prediction.stated_covariance,
             });
-            SystemPairs { name: name.clone(), simulated, rows: rows.collect() }
+            SystemPairs::new(name, simulated, rows)
         });
         Self { error_frame, systems: systems.collect() }
     }
@@ -84,7 +85,7 @@ impl PairTable {
                 covariance: None,
                 stated: pair.stated_covariance,
             });
-            SystemPairs { name: name.clone(), simulated, rows: rows.collect() }
+            SystemPairs::new(name, simulated, rows)
         });
         Self { error_frame, systems: systems.collect() }
     }
@@ -94,6 +95,24 @@ impl SystemPairs {
     /// Errors of all rows, m and rad.
     pub fn errors(&self) -> Vec<[f64; 6]> {
         self.rows.iter().map(|row| row.error).collect()
+    }
+
+    /// Hash of which measurements these are and by how much they are wrong.
+    pub fn fingerprint(&self) -> String {
+        let mut text = String::new();
+        for PairRow { drive, source, target, error, .. } in &self.rows {
+            // A tenth of a micrometre: the same on every machine's libm.
+            let error = error.map(|error| (error * 1e7).round() as i64);
+            text += &format!("{drive} {source} {target} {error:?}\n");
+        }
+        sha256_hex(text.as_bytes())
+    }
+
+    /// The measurements of a system in the order of their names.
+    fn new(name: &str, simulated: bool, rows: impl Iterator<Item = PairRow>) -> Self {
+        let mut rows: Vec<PairRow> = rows.collect();
+        rows.sort_by_key(PairRow::key);
+        Self { name: name.to_owned(), simulated, rows }
     }
 
     /// Whether it is the truth itself.

@@ -7,6 +7,8 @@ use serde::{Deserialize, Serialize};
 use super::prediction::Prediction;
 use crate::geometry::Covariance6;
 
+/// No model is off by more, and its inverse.
+const LARGEST_FACTOR: f64 = 1e6;
 /// Passes over the components of a fit; some 20 are usual.
 const MOST_SWEEPS: usize = 1000;
 
@@ -24,19 +26,28 @@ pub struct Recalibration {
 }
 
 impl Recalibration {
-    /// The most likely factors over all systems with errors; `None` without any. For diagonal covariances the
+    /// The most likely factors over the systems that were learned from and have errors; `None` without any. For diagonal covariances the
     /// mean z² of each component.
-    pub fn fit(predictions: &[Prediction], systems: &[String], split: &str) -> Option<Self> {
+    ///
+    /// `learned` names those that were learned from: the factors are of the model, not of what it is tried on.
+    pub fn fit(predictions: &[Prediction], systems: &[String], learned: &[&str], split: &str) -> Option<Self> {
         let wrong = |system: &usize| predictions.iter().any(|row| row.system == *system && row.error != [0.0; 6]);
-        let used: Vec<usize> = (0..systems.len()).filter(wrong).collect();
+        let known = |system: &usize| learned.contains(&systems[*system].as_str());
+        let used: Vec<usize> = (0..systems.len()).filter(|system| known(system) && wrong(system)).collect();
         let rows: Vec<&Prediction> = predictions.iter().filter(|row| used.contains(&row.system)).collect();
         let factors = most_likely_factors(&rows)?;
-        factors.iter().all(|factor| factor.is_finite() && *factor > 0.0).then(|| Self {
+        let fitted = Self {
             factors,
             split: split.to_owned(),
             systems: used.into_iter().map(|system| systems[system].clone()).collect(),
             pairs: rows.len(),
-        })
+        };
+        fitted.is_usable().then_some(fitted)
+    }
+
+    /// Whether the factors leave a variance a variance.
+    pub fn is_usable(&self) -> bool {
+        self.factors.iter().all(|factor| (1.0 / LARGEST_FACTOR..=LARGEST_FACTOR).contains(factor))
     }
 
     /// The recalibrated covariance.
@@ -110,7 +121,7 @@ mod tests {
                 Prediction { error: error.into(), covariance, ..prediction(0, frame, 0.0, 1.0) }
             })
             .collect();
-        let fitted = Recalibration::fit(&rows, &["vo".to_owned()], "validation").unwrap();
+        let fitted = Recalibration::fit(&rows, &["vo".to_owned()], &["vo"], "validation").unwrap();
         for (found, expected) in fitted.factors.iter().zip(factors) {
             assert!((found / expected - 1.0).abs() < 0.03, "{:?} against {factors:?}", fitted.factors);
         }
@@ -120,12 +131,13 @@ mod tests {
     fn recalibrated_predictions_are_calibrated_where_they_were_fitted() {
         let systems = ["vo", "gnss"].map(str::to_owned);
         let rows = [prediction(0, 0, 0.1, 0.02), prediction(0, 1, -0.3, 0.02), prediction(1, 0, 0.0, 1.0)];
-        let fitted = Recalibration::fit(&rows, &systems, "validation").unwrap();
+        let fitted = Recalibration::fit(&rows, &systems, &["vo", "gnss"], "validation").unwrap();
         assert_eq!((fitted.systems.as_slice(), fitted.pairs), (&systems[..1], 2));
         let covariances: Vec<Covariance6> = rows[..2].iter().map(|row| fitted.apply(&row.covariance)).collect();
         let metrics = evaluate(&covariances, &[rows[0].error, rows[1].error], None).unwrap();
         assert!((metrics.anees.unwrap() - 1.0).abs() < 1e-12);
         // Nothing can be learned from a system without errors.
-        assert_eq!(Recalibration::fit(&rows[2..], &systems, "validation"), None);
+        assert_eq!(Recalibration::fit(&rows[2..], &systems, &["vo", "gnss"], "validation"), None);
+        assert_eq!(Recalibration::fit(&rows, &systems, &["gnss"], "validation"), None);
     }
 }

@@ -4,7 +4,6 @@ use std::path::Path;
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
 
 use super::against_true::AgainstTrue;
 use super::baselines::Baselines;
@@ -70,6 +69,9 @@ pub struct Origin {
     /// Floor under log-variances, ln m² and ln rad².
     #[serde(default)]
     pub log_variance_floor: Option<[f64; 6]>,
+    /// The effective configuration it was made with, TOML; `None` for a file of predictions.
+    #[serde(default)]
+    pub configuration: Option<String>,
 }
 
 /// One system.
@@ -128,7 +130,7 @@ fn evaluate_system(system: &SystemPairs, baselines: Option<&Baselines>, origin: 
         )));
     }
     let errors = system.errors();
-    let resamples = Resamples::new(&system.drives(), block_length(&errors));
+    let resamples = Resamples::new(errors.len(), block_length(&errors));
     let recalibration = origin.recalibration.as_ref().map(|recalibration| &recalibration.factors);
     let covariances = |method: Method| method.covariances(system, baselines, recalibration);
     let truth = covariances(Method::OracleDiagonal);
@@ -148,7 +150,7 @@ fn evaluate_system(system: &SystemPairs, baselines: Option<&Baselines>, origin: 
     let methods: Vec<Option<(String, Metrics)>> = Method::ALL.par_iter().map(evaluate_method).collect();
     Ok(SystemEvaluation {
         pairs: system.rows.len(),
-        measurements: fingerprint(system),
+        measurements: system.fingerprint(),
         bootstrap: resamples.as_ref().map(Resamples::settings),
         baselines: baselines.copied(),
         methods: methods.into_iter().flatten().collect(),
@@ -166,21 +168,6 @@ fn share_at(covariances: &[Covariance6], recalibration: Option<&[f64; 6]>, floor
 fn block_length(errors: &[[f64; 6]]) -> usize {
     let squares = |c: usize| errors.iter().map(|error| error[c] * error[c]).collect::<Vec<f64>>();
     (0..6).map(|c| optimal_block_length(&squares(c))).fold(1.0, f64::max).ceil() as usize
-}
-
-fn fingerprint(system: &SystemPairs) -> String {
-    let mut hash = Sha256::new();
-    for row in &system.rows {
-        hash.update(row.drive.as_bytes());
-        for index in [row.source, row.target] {
-            hash.update((index as u64).to_le_bytes());
-        }
-        for error in row.error {
-            // A tenth of a micrometre: the same on every machine's libm.
-            hash.update(((error * 1e7).round() as i64).to_le_bytes());
-        }
-    }
-    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 impl Evaluation {
@@ -230,6 +217,7 @@ mod tests {
             unreadable_frames: Vec::new(),
             recalibration: None,
             log_variance_floor: None,
+            configuration: None,
         }
     }
 

@@ -111,7 +111,7 @@ impl Covariance6 {
 
     /// Each component scaled: `R' = D(√s) R D(√s)`, s factors on variances.
     pub fn scaled(&self, factors: &[f64; 6]) -> Self {
-        Self(Matrix6::from_fn(|row, column| self.0[(row, column)] * (factors[row] * factors[column]).sqrt()))
+        Self(Matrix6::from_fn(|row, column| self.0[(row, column)] * factors[row].sqrt() * factors[column].sqrt()))
     }
 
     /// The same error in other axes: `Σ' = Ad_X Σ Ad_Xᵀ` with `X = other_from_self`.

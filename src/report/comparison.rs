@@ -3,9 +3,9 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use crate::error::{Error, Result};
-use crate::evaluation::{Evaluation, Method, Metrics, PairRow, PairTable, SystemPairs, read_pairs};
-use crate::geometry::ErrorFrame;
+use crate::error::{Error, Place, Result};
+use crate::evaluation::{Evaluation, Method, Metrics, PairRow, PairTable, SystemEvaluation, SystemPairs, read_pairs};
+use crate::geometry::{Covariance6, ErrorFrame};
 use crate::training::{EVALUATION, PAIRS};
 
 /// Results of one or more evaluations in one error frame.
@@ -39,31 +39,55 @@ impl Entry {
     pub fn load(path: &Path) -> Result<Self> {
         let scores = if path.is_dir() { path.join(EVALUATION) } else { path.to_owned() };
         if !scores.is_file() {
-            return Err(Error::run(
-                path,
-                format!("holds no {EVALUATION}; `relcov eval --run {}` makes it", path.display()),
-            ));
+            let problem = format!("holds no {EVALUATION}; `relcov eval --run {}` makes it", path.display());
+            return Err(Error::run(path, problem));
         }
         let folder = scores.parent().unwrap_or(Path::new("")).to_owned();
         let beside = scores.with_extension("csv");
-        let pairs = if beside.is_file() { beside } else { folder.join(PAIRS) };
+        let pairs = if path.is_file() && beside.is_file() { beside } else { folder.join(PAIRS) };
         let evaluation = Evaluation::read(&scores)?;
         let table = read_pairs(&pairs, evaluation.error_frame)?;
-        let belongs = |(name, system): (&str, &crate::evaluation::SystemEvaluation)| {
-            table.systems.iter().any(|pairs| pairs.name == name && pairs.rows.len() == system.pairs)
+        let belongs = |(name, system): (&str, &SystemEvaluation)| {
+            table.systems.iter().any(|pairs| pairs.name == name && pairs.fingerprint() == system.measurements)
         };
         if evaluation.systems.0.len() != table.systems.len() || !evaluation.systems.iter().all(belongs) {
-            let problem = format!(
-                "{} holds other measurements than {}; run `relcov eval` again",
-                pairs.display(),
-                scores.display()
-            );
-            return Err(Error::run(&folder, problem));
+            let expected = format!("the measurements that {} was made from; run `relcov eval` again", scores.display());
+            return Err(Error::malformed(&pairs, Place::Whole, "other measurements", expected));
         }
         let named = if path.is_dir() { path } else { Path::new(path.file_stem().unwrap_or(path.as_os_str())) };
         let canonical = named.canonicalize().unwrap_or_else(|_| named.to_owned());
         let name = canonical.file_name().unwrap_or(named.as_os_str()).to_string_lossy().into_owned();
-        Ok(Self { name, evaluation, table, folder: Some(folder) })
+        let entry = Self { name, evaluation, table, folder: Some(folder) };
+        entry.check_methods(&scores)?;
+        Ok(entry)
+    }
+
+    /// Every method that has scores must be one whose covariances can be made again.
+    fn check_methods(&self, path: &Path) -> Result<()> {
+        for (name, system) in self.evaluation.systems.iter() {
+            let pairs = self.pairs(name);
+            let predicted = self.evaluation.origin.predicted.as_deref().unwrap_or_default();
+            for (method, _) in system.methods.iter() {
+                let known = Method::ALL.into_iter().find(|known| known.name(predicted) == method);
+                if known.and_then(|known| self.covariances(known, pairs)).is_none() {
+                    let place = Place::Field(format!("systems.{name}.methods.{method}"));
+                    let expected = "a method that its baselines and measurements give; run `relcov eval` again";
+                    return Err(Error::malformed(path, place, "scores without covariances", expected));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The measurements of a system that has scores.
+    fn pairs(&self, system: &str) -> &SystemPairs {
+        self.table.systems.iter().find(|pairs| pairs.name == system).expect("scores come from measurements")
+    }
+
+    fn covariances(&self, method: Method, pairs: &SystemPairs) -> Option<Vec<Covariance6>> {
+        let baselines = self.evaluation.systems.get(&pairs.name).and_then(|system| system.baselines.as_ref());
+        let factors = self.evaluation.origin.recalibration.as_ref().map(|recalibration| &recalibration.factors);
+        method.covariances(pairs, baselines, factors)
     }
 }
 
@@ -96,15 +120,29 @@ impl Comparison {
                 )));
             }
         }
-        for index in 1..entries.len() {
-            let twins = entries[..index].iter().filter(|other| other.name == entries[index].name).count();
+        let names: Vec<String> = entries.iter().map(|entry| entry.name.clone()).collect();
+        for (index, entry) in entries.iter_mut().enumerate() {
+            let twins = names[..index].iter().filter(|name| **name == names[index]).count();
+            if Method::ALL[1..].iter().any(|method| method.name("") == names[index]) {
+                // A run called `constant` is not the baseline.
+                entry.name += " (run)";
+            }
             if twins > 0 {
-                entries[index].name = format!("{} ({})", entries[index].name, twins + 1);
+                entry.name += &format!(" ({})", twins + 1);
             }
         }
         let mut warnings = Vec::new();
-        for entry in &entries[1..] {
-            compare_pairs(&entries[0], entry, &mut warnings)?;
+        for (index, first) in entries.iter().enumerate() {
+            let origin = &first.evaluation.origin;
+            if origin.recalibration.as_ref().is_some_and(|recalibration| recalibration.split == origin.split) {
+                warnings.push(format!(
+                    "`{}` is judged on split {}, which its recalibration was fitted to: its calibration looks too good",
+                    first.name, origin.split
+                ));
+            }
+            for other in &entries[index + 1..] {
+                compare_pairs(first, other, &mut warnings)?;
+            }
         }
         Ok(Self { entries, warnings })
     }
@@ -114,8 +152,8 @@ impl Comparison {
         self.entries[0].evaluation.error_frame
     }
 
-    /// Whether all entries are of the same measurements.
-    pub fn is_of_one_data_set(&self) -> bool {
+    /// Whether nothing keeps the best from being called so.
+    pub fn is_fair(&self) -> bool {
         self.warnings.is_empty()
     }
 
@@ -157,64 +195,60 @@ impl Comparison {
     }
 }
 
-impl Judged<'_> {
+impl<'a> Judged<'a> {
     /// Its measurements of a system.
-    pub fn pairs(&self, system: &str) -> &SystemPairs {
-        self.entry.table.systems.iter().find(|pairs| pairs.name == system).expect("checked when it was read")
+    pub fn pairs(&self, system: &str) -> &'a SystemPairs {
+        self.entry.pairs(system)
     }
 
     /// Its covariances, row by row.
-    pub fn covariances(&self, system: &str) -> Vec<crate::geometry::Covariance6> {
-        let evaluation = &self.entry.evaluation;
-        let baselines = evaluation.systems.get(system).and_then(|system| system.baselines.as_ref());
-        let factors = evaluation.origin.recalibration.as_ref().map(|recalibration| &recalibration.factors);
-        self.method.covariances(self.pairs(system), baselines, factors).expect("it has scores")
+    pub fn covariances(&self, system: &str) -> Vec<Covariance6> {
+        self.entry.covariances(self.method, self.pairs(system)).expect("it has scores")
     }
 }
 
 /// Results of the same split and drives must have the same pairs; others are pointed out.
 fn compare_pairs(first: &Entry, other: &Entry, warnings: &mut Vec<String>) -> Result<()> {
-    let (a, b) = (&first.evaluation.origin.split, &other.evaluation.origin.split);
-    if a != b {
-        warnings.push(format!(
-            "`{}` is of split {a}, `{}` of split {b}: their scores are of different pairs",
-            first.name, other.name
-        ));
-        return Ok(());
+    let systems = |entry: &Entry| entry.table.systems.iter().map(|system| system.name.clone()).collect::<BTreeSet<_>>();
+    let (ours, theirs) = (systems(first), systems(other));
+    for (has, lacks, difference) in [(first, other, ours.difference(&theirs)), (other, first, theirs.difference(&ours))]
+    {
+        warnings.extend(difference.map(|system| format!("`{}` has system `{system}`, `{}` not", has.name, lacks.name)));
     }
-    for system in &first.table.systems {
-        let Some(twin) = other.table.systems.iter().find(|twin| twin.name == system.name) else {
-            warnings.push(format!("`{}` has no system `{}`", other.name, system.name));
-            continue;
-        };
-        let measurements =
-            |entry: &Entry| entry.evaluation.systems.get(&system.name).map(|found| found.measurements.clone());
-        if measurements(first) == measurements(other) {
-            continue;
+    for system in ours.intersection(&theirs) {
+        let measurements = |entry: &Entry| entry.evaluation.systems.get(system).map(|found| found.measurements.clone());
+        if measurements(first) != measurements(other) {
+            warnings.push(explain_difference(first, other, system)?);
         }
-        let drives = |rows: &[PairRow]| rows.iter().map(|row| row.drive.clone()).collect::<BTreeSet<_>>();
-        if drives(&system.rows) != drives(&twin.rows) {
-            warnings.push(format!("`{}` and `{}` are of different drives ({})", first.name, other.name, system.name));
-            continue;
-        }
-        let keys = |rows: &[PairRow]| rows.iter().map(PairRow::key).collect::<BTreeSet<_>>();
-        let (ours, theirs) = (keys(&system.rows), keys(&twin.rows));
-        let missing = |from: &Entry, has: &Entry, (drive, source, target): &(std::sync::Arc<str>, usize, usize)| {
-            Error::Data(format!(
-                "`{}` has no prediction for {} {drive} frames {source} and {target}, which `{}` has; evaluate both on the same pairs",
-                from.name, system.name, has.name
-            ))
-        };
-        if let Some(key) = ours.difference(&theirs).next() {
-            return Err(missing(other, first, key));
-        }
-        if let Some(key) = theirs.difference(&ours).next() {
-            return Err(missing(first, other, key));
-        }
-        warnings.push(format!(
-            "`{}` and `{}` have different errors for the same pairs of {}: other measurements or another truth",
-            first.name, other.name, system.name
-        ));
     }
     Ok(())
+}
+
+/// Why two results have different measurements of a system.
+///
+/// # Errors
+/// One lacks a pair that the other has of the same split and drives.
+fn explain_difference(first: &Entry, other: &Entry, system: &str) -> Result<String> {
+    let (a, b) = (&first.evaluation.origin.split, &other.evaluation.origin.split);
+    let both = format!("`{}` and `{}`", first.name, other.name);
+    if a != b {
+        return Ok(format!("{both} are of splits {a} and {b}: scores of {system} are of different pairs"));
+    }
+    let drives = |rows: &[PairRow]| rows.iter().map(|row| row.drive.clone()).collect::<BTreeSet<_>>();
+    let (ours, theirs) = (&first.pairs(system).rows, &other.pairs(system).rows);
+    if drives(ours) != drives(theirs) {
+        return Ok(format!("{both} are of different drives: scores of {system} are of different pairs"));
+    }
+    let keys = |rows: &[PairRow]| rows.iter().map(PairRow::key).collect::<BTreeSet<_>>();
+    let (ours, theirs) = (keys(ours), keys(theirs));
+    for (has, lacks, difference) in [(first, other, ours.difference(&theirs)), (other, first, theirs.difference(&ours))]
+    {
+        if let Some((drive, source, target)) = difference.into_iter().next() {
+            return Err(Error::Data(format!(
+                "`{}` has no prediction for {system} {drive} frames {source} and {target}, which `{}` has; evaluate both on the same pairs",
+                lacks.name, has.name
+            )));
+        }
+    }
+    Ok(format!("{both} have different errors for the same pairs of {system}: other measurements or another truth"))
 }

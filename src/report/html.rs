@@ -9,24 +9,22 @@ use super::scores::{
 };
 use super::table::{Cell, Table};
 use crate::error::Result;
-use crate::files::read_text;
 use crate::geometry::Conventions;
-use crate::training::RunFolder;
 
 const STYLE: &str = include_str!("page.css");
 
 /// Renders a comparison with its tables, figures, configurations and conventions.
 ///
 /// # Errors
-/// A run's configuration or loss curves cannot be read.
+/// A run's loss curves cannot be read.
 pub fn html_page(comparison: &Comparison) -> Result<String> {
     let names: Vec<&str> = comparison.entries.iter().map(|entry| entry.name.as_str()).collect();
     let title = format!("relcov: {}", names.join(", "));
     let figures = draw_figures(comparison)?;
-    let configurations = configurations(comparison)?;
+    let configurations = configurations(comparison);
     let tables = [
         Some(score_table(comparison, Intervals::Shown)),
-        Some(crps_table(comparison)),
+        Some(crps_table(comparison, Intervals::Shown)),
         calibration_table(comparison),
         true_sigma_table(comparison),
         separation_table(comparison),
@@ -57,7 +55,7 @@ pub fn html_page(comparison: &Comparison) -> Result<String> {
                     section id="tables" {
                         h2 { "Tables" }
                         @for table in tables.iter().flatten() { (table_markup(table)) }
-                        ul.notes { @for note in notes(comparison) { li { (note) } } }
+                        ul.notes { @for note in notes(comparison, "Bold") { li { (note) } } }
                     }
                     section id="figures" {
                         h2 { "Figures" }
@@ -117,16 +115,10 @@ fn figure_markup(figure: &Figure) -> Markup {
     }
 }
 
-/// The configuration of every run that has one.
-fn configurations(comparison: &Comparison) -> Result<Vec<(String, String)>> {
-    let mut found = Vec::new();
-    for entry in &comparison.entries {
-        let run = entry.folder.as_deref().and_then(|folder| RunFolder::open(folder).ok());
-        if let Some(path) = run.map(|run| run.config_path()).filter(|path| path.is_file()) {
-            found.push((entry.name.clone(), read_text(&path)?));
-        }
-    }
-    Ok(found)
+/// The configuration of every evaluation that had one.
+fn configurations(comparison: &Comparison) -> Vec<(&str, &str)> {
+    let entries = comparison.entries.iter();
+    entries.filter_map(|entry| Some((entry.name.as_str(), entry.evaluation.origin.configuration.as_deref()?))).collect()
 }
 
 fn conventions(comparison: &Comparison) -> Markup {

@@ -28,7 +28,7 @@ pub fn render_results(comparison: &Comparison, format: TableFormat, intervals: I
             parts.extend(comparison.warnings.iter().map(|warning| format!("WARNING: {warning}\n")));
             let tables = [
                 Some(score_table(comparison, intervals)),
-                Some(crps_table(comparison)),
+                Some(crps_table(comparison, intervals)),
                 calibration_table(comparison),
                 true_sigma_table(comparison),
                 separation_table(comparison),
@@ -37,7 +37,8 @@ pub fn render_results(comparison: &Comparison, format: TableFormat, intervals: I
                 let title = if format == TableFormat::Text { format!("\n{}\n", table.title) } else { "\n".to_owned() };
                 parts.push(title + &table.render(format));
             }
-            parts.push(format!("\n{}\n", notes(comparison).join("\n")));
+            let mark = if format == TableFormat::Text { "*" } else { "bold" };
+            parts.push(format!("\n{}\n", notes(comparison, mark).join("\n")));
             parts.concat()
         }
     }
@@ -58,11 +59,15 @@ pub fn preface(comparison: &Comparison) -> String {
 }
 
 /// How to read the tables.
-pub fn notes(comparison: &Comparison) -> Vec<String> {
+///
+/// `mark` is what the best values bear.
+pub fn notes(comparison: &Comparison, mark: &str) -> Vec<String> {
     let mut notes = vec![
         "MDE = median sqrt|R - e^2| alone is an improper score (a prediction of zero can win it): read it with NLL (lower is better), CRPS (lower is better) and ANEES (1 is calibrated).".to_owned(),
-        "* best of those that compete: not a variance of zero, nor an oracle, which knows the truth.".to_owned(),
     ];
+    if comparison.is_fair() {
+        notes.push(format!("{mark}: best of those that compete, which a variance of zero and an oracle do not; nor is there anything to win against a system that is the truth."));
+    }
     let has = |method: Method| {
         let systems = comparison.systems();
         systems.iter().any(|system| comparison.methods(system).iter().any(|(_, judged)| judged.method == method))
@@ -106,15 +111,18 @@ pub fn score_table(comparison: &Comparison, intervals: Intervals) -> Table {
 }
 
 /// CRPS of every component, and two joint scores.
-pub fn crps_table(comparison: &Comparison) -> Table {
+pub fn crps_table(comparison: &Comparison, intervals: Intervals) -> Table {
     let joint = ["NLL - constant's", "e'R^-1 e < 12.6"];
     let header = named_columns(&["system", "method"]).chain(unit_columns("")).chain(named_columns(&joint));
     let row = |metrics: &Metrics| {
         let mut cells: Vec<Cell> = (0..6).map(|c| cell(metrics.crps.map(|crps| crps[c]), three_digits)).collect();
         let difference = metrics.nll_over_constant.map_or(Cell::default(), |difference| Cell {
-            text: with_interval(format!("{:.3}", difference.mean), Some(difference.interval), |value| {
-                format!("{value:.3}")
-            }),
+            text: match intervals {
+                Intervals::Shown => {
+                    with_interval(three_decimals(difference.mean), Some(difference.interval), three_decimals)
+                }
+                Intervals::Hidden => three_decimals(difference.mean),
+            },
             value: Some(difference.mean),
             best: false,
         });
@@ -158,15 +166,15 @@ fn method_table(
         .map(|(row, _)| (row[0].clone(), row[1].clone()))
         .collect();
     let mut table = Table { title: title.to_owned(), header, names: 2, rows };
-    if comparison.is_of_one_data_set() {
+    if comparison.is_fair() {
         table.mark_best(|row| !excluded.iter().any(|(system, method)| *system == row[0] && *method == row[1]), better);
     }
     table
 }
 
 pub(super) fn competes(judged: &Judged) -> bool {
-    let knows = matches!(judged.method, Method::Oracle | Method::OracleDiagonal);
-    !knows && judged.metrics.sharpness.iter().all(|&sigma| sigma > 0.0)
+    // Against a truth the smallest σ would win.
+    judged.metrics.nll.is_some() && !matches!(judged.method, Method::Oracle | Method::OracleDiagonal)
 }
 
 /// Calibration and sharpness of the predictions, component by component.
@@ -185,8 +193,11 @@ pub fn calibration_table(comparison: &Comparison) -> Option<Table> {
     ];
     let mut rows = Vec::new();
     for system in comparison.systems() {
-        let predictions: Vec<_> =
-            comparison.methods(system).into_iter().filter(|(_, judged)| judged.method == Method::Predicted).collect();
+        let predictions: Vec<_> = comparison
+            .methods(system)
+            .into_iter()
+            .filter(|(_, judged)| matches!(judged.method, Method::Predicted | Method::Uncalibrated))
+            .collect();
         for (label, values) in scores {
             for (name, judged) in &predictions {
                 let Some(values) = values(judged.metrics) else { continue };
@@ -325,6 +336,7 @@ mod tests {
             unreadable_frames: Vec::new(),
             recalibration: None,
             log_variance_floor: None,
+            configuration: None,
         };
         let mut evaluation = evaluate_table(&table, &fitted, origin).unwrap();
         evaluation.perturbation_response = Some(PerturbationResponse {

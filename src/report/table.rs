@@ -158,8 +158,6 @@ pub(super) fn mark<'a>(cells: impl Iterator<Item = &'a mut Cell>, ranks: &[Optio
 pub enum Better {
     /// Small ones.
     Lower,
-    /// Large ones.
-    Higher,
     /// Those near a target.
     Near(f64),
     /// Neither.
@@ -171,7 +169,6 @@ impl Better {
     fn rank(self, value: f64) -> Option<f64> {
         match self {
             Self::Lower => Some(value),
-            Self::Higher => Some(-value),
             Self::Near(target) => Some((value - target).abs()),
             Self::Neutral => None,
         }

@@ -39,7 +39,7 @@ pub fn table_two(comparison: &Comparison, intervals: Intervals) -> Table {
                 .zip(&cells)
                 .map(|(label, cell)| cell.value.filter(|_| competing(label)).map(distance))
                 .collect();
-            if comparison.is_of_one_data_set() {
+            if comparison.is_fair() {
                 mark(cells.iter_mut(), &ranks);
             }
             rows.push([vec![Cell::name(*system), Cell::name(score)], cells].concat());

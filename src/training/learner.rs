@@ -354,7 +354,10 @@ impl Learner {
             _ => Arc::new(PairReader::new(&self.config, &self.dataset, SplitName::Validation)),
         };
         let predictions = self.predict(&model, SplitName::Validation, &reader, observer)?;
-        match Recalibration::fit(&predictions, &self.dataset.systems, SplitName::Validation.name()) {
+        let learned = self.config.systems.iter().filter(|system| system.share > 0.0);
+        let learned: Vec<&str> = learned.map(|system| system.name.as_str()).collect();
+        let split = SplitName::Validation.name();
+        match Recalibration::fit(&predictions, &self.dataset.systems, &learned, split) {
             Some(recalibration) => self.run.write_recalibration(&recalibration),
             None => Ok(()),
         }

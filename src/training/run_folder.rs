@@ -178,15 +178,26 @@ impl RunFolder {
     }
 
     fn remove_results(&self) -> Result<()> {
-        let figures = self.path.join(FIGURES);
-        if figures.is_dir() {
-            std::fs::remove_dir_all(&figures).map_err(Error::io("remove", &figures))?;
+        self.remove_figures()?;
+        let files = RESULTS.map(|file| self.path.join(file));
+        files.iter().filter(|path| path.exists()).try_for_each(|path| remove(path))
+    }
+
+    /// Removes the figures of an evaluation, and their folder if nothing else is in it.
+    ///
+    /// # Errors
+    /// One cannot be removed.
+    pub fn remove_figures(&self) -> Result<()> {
+        let folder = self.path.join(FIGURES);
+        let Ok(entries) = std::fs::read_dir(&folder) else { return Ok(()) };
+        for path in entries.filter_map(|entry| Some(entry.ok()?.path())) {
+            if path.extension().is_some_and(|extension| extension == "svg" || extension == "png") {
+                remove(&path)?;
+            }
         }
-        RESULTS
-            .map(|file| self.path.join(file))
-            .iter()
-            .filter(|path| path.exists())
-            .try_for_each(|path| std::fs::remove_file(path).map_err(Error::io("remove", path)))
+        // Not empty: someone keeps other files there.
+        let _ = std::fs::remove_dir(&folder);
+        Ok(())
     }
 
     /// Loads the best model onto a device.
@@ -239,11 +250,10 @@ impl RunFolder {
         if !path.exists() {
             return Ok(None);
         }
-        let expected = "six positive factors; `relcov eval --recalibrate` fits them anew";
+        let expected = "six factors between 1e-6 and 1e6; `relcov eval --recalibrate` fits them anew";
         let recalibration: Recalibration = serde_json::from_str(&read_text(&path)?)
             .map_err(|error| Error::malformed(&path, Place::Line(error.line()), error.to_string(), expected))?;
-        let usable = recalibration.factors.iter().all(|factor| factor.is_finite() && *factor > 0.0);
-        if !usable {
+        if !recalibration.is_usable() {
             let found = format!("{:?}", recalibration.factors);
             return Err(Error::malformed(&path, Place::Field("factors".to_owned()), found, expected));
         }
@@ -265,11 +275,15 @@ impl RunFolder {
         for file in [METRICS, LOSSES, MODEL, CONFIG, MANIFEST] {
             let path = self.path.join(file);
             if path.exists() {
-                std::fs::remove_file(&path).map_err(Error::io("remove", &path))?;
+                remove(&path)?;
             }
         }
         Ok(())
     }
+}
+
+fn remove(path: &Path) -> Result<()> {
+    std::fs::remove_file(path).map_err(Error::io("remove", path))
 }
 
 fn json(conventions: &Conventions) -> String {

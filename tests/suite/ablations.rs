@@ -3,12 +3,15 @@
 use std::path::Path;
 
 use assert_cmd::Command;
+use burn::tensor::Tensor;
 use predicates::str::contains;
 use relcov::config::Config;
-use relcov::data::{Dataset, PairReader, PairScope, SplitName};
+use relcov::data::{Dataset, PairBatch, PairReader, PairScope, SplitName};
 use relcov::device::open_device;
 use relcov::evaluation::read_pairs;
 use relcov::geometry::ErrorFrame;
+use relcov::synthetic::{Replace, SyntheticSettings, record};
+use relcov::warp::Warp;
 use relcov::{Measurement, Model, RightView};
 
 const NAMES: [&str; 7] =
@@ -109,4 +112,61 @@ fn every_ablation_trains_and_stands_in_one_table() {
     assert_eq!(factors["systems"], serde_json::json!(["vo"]));
     std::fs::write(run.join("recalibration.json"), "{\"factors\": [1, 1, 1, 1, 1, 0]}").unwrap();
     relcov().arg("eval").arg("--run").arg(run).assert().code(1).stderr(contains("recalibration.json"));
+}
+
+#[test]
+fn all_four_images_show_what_the_left_target_shows() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = r#"name = "stereo"
+[data]
+root = "street"
+train = [{ drive = "2026_01_01_drive_0001_sync" }]
+validation_fraction = 0.0
+test = []
+[[systems]]
+name = "gnss"
+share = 1.0
+source = "truth"
+[depth]
+source = "files"
+path = "{date}/{drive}/depth_02/data/{frame}.png"
+[model]
+width = 192
+height = 64
+stereo = true
+"#;
+    let path = folder.path().join("config.toml");
+    std::fs::write(&path, config).unwrap();
+    let settings = SyntheticSettings {
+        drives: 1,
+        frames: 3,
+        size: [192, 64],
+        image_noise: 0.0,
+        lidar_steps: 0,
+        ..Default::default()
+    };
+    record(&folder.path().join("street"), &settings, Replace::Never, &mut |_| Ok(())).unwrap();
+    let config = Config::load(&path, &[]).unwrap();
+    let dataset = Dataset::load(&config, PairScope::Images).unwrap();
+    let reader = PairReader::new(&config, &dataset, SplitName::Train);
+    let sample = reader.read(&dataset.train.pairs[1]).unwrap().expect("readable");
+    let device = open_device("flex").unwrap();
+    let pairs = PairBatch::new(&[sample], &device);
+    let right = pairs.right.clone().expect("stereo");
+    // Mean difference from the left target where the warp is valid, grey levels.
+    let difference = |image: Tensor<4>, pose: Tensor<3>| -> f64 {
+        let warped = Warp.forward(image, pairs.target_depth.clone(), pairs.intrinsics.clone(), pose);
+        let off = (warped.image - pairs.target_image.clone()).abs() * warped.valid_mask.clone();
+        let (sum, pixels): (f32, f32) = (off.sum().into_scalar(), warped.valid_mask.sum().into_scalar());
+        f64::from(255.0 * sum / (3.0 * pixels))
+    };
+    let unmoved = Tensor::<2>::eye(4, &device).unsqueeze::<3>();
+    for (name, image, pose) in [
+        ("right target", right.target_image, right.target_from_target),
+        ("right source", right.source_image, right.source_from_target),
+        ("left source", pairs.source_image.clone(), pairs.source_from_target.clone()),
+    ] {
+        let (warped, unwarped) = (difference(image.clone(), pose), difference(image, unmoved.clone()));
+        assert!(warped < 5.0 && warped < 0.5 * unwarped, "{name}: {warped} warped, {unwarped} as it is");
+    }
 }

@@ -96,7 +96,11 @@ fn tables_and_figures_are_written_in_every_form() {
         ["sequence", "dispersion_vo", "reliability_vo", "coverage_vo", "sparsification_vo", "nees_vo", "speed_vo"]
     {
         let svg = std::fs::read_to_string(figures.join(format!("{name}.svg"))).unwrap();
-        assert!(svg.contains("<text") && (svg.contains("[m]") || name == "nees_vo" || name == "coverage_vo"), "{name}");
+        assert!(
+            svg.contains("<text")
+                && (svg.contains("[m]") || ["nees_vo", "coverage_vo", "sparsification_vo"].contains(&name)),
+            "{name}"
+        );
         let picture = image::open(figures.join(format!("{name}.png"))).unwrap().into_rgb8();
         let coloured = picture.pixels().filter(|pixel| pixel.0.iter().any(|&level| level < 160)).count();
         assert!(coloured > 2_000, "{name}: {coloured} dark pixels");
@@ -161,6 +165,32 @@ fn bad_predictions_are_named_and_never_dropped() {
 }
 
 #[test]
+fn options_without_effect_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let pairs = folder.path().join("pairs.csv");
+    write_pairs_csv(&pairs, 20, 3);
+    let eval = |arguments: &[&str]| {
+        let mut command = relcov();
+        command.args(["eval", "--error-frame", "vehicle", "--pairs"]).arg(&pairs).args(arguments);
+        command.current_dir(folder.path()).assert().code(1)
+    };
+    eval(&["--set", "model.width=3"]).stderr(contains("change nothing about --pairs"));
+    eval(&["--save-table", "a.csv", "--save-results", "a.json"]).stderr(contains("name the table otherwise"));
+    eval(&["--save-results", "a.txt"]).stderr(contains("must end in .json"));
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "nothing is written");
+    relcov()
+        .args(["eval", "--run", "nowhere", "--set", "model.width=3"])
+        .assert()
+        .code(1)
+        .stderr(contains("a trained model keeps its shape"));
+    // Errors alone are nothing to judge.
+    let text = std::fs::read_to_string(&pairs).unwrap();
+    let bare: Vec<String> = text.lines().map(|line| line.rsplitn(7, ',').last().unwrap().to_owned()).collect();
+    std::fs::write(&pairs, bare.join("\n")).unwrap();
+    eval(&[]).stderr(contains("no predicted variances"));
+}
+
+#[test]
 fn what_does_not_compare_is_refused_or_pointed_out() {
     let folder = tempfile::tempdir().unwrap();
     let first = judge(folder.path(), "first", 1, "vehicle");
@@ -203,9 +233,31 @@ fn what_does_not_compare_is_refused_or_pointed_out() {
         .success()
         .stdout(contains("WARNING: `first` and `other` have different errors").and(contains("* |").not()));
 
+    // Every form says so, and the order of arguments does not matter.
+    for format in ["csv", "latex"] {
+        relcov()
+            .arg("report")
+            .args([&other, &first, &first])
+            .args(["--format", format])
+            .assert()
+            .success()
+            .stderr(contains("warning: `other` and `first` have different errors"));
+    }
+
+    // The same measurements judged twice compare, whatever the results are called.
+    let twin = folder.path().join("constant.json");
+    std::fs::copy(&first, &twin).unwrap();
+    std::fs::copy(folder.path().join("first.csv"), folder.path().join("constant.csv")).unwrap();
+    let output = relcov().arg("report").args([&first, &twin, &twin, &twin]).output().unwrap();
+    let stdout = String::from_utf8(output.stdout).unwrap();
+    assert!(!stdout.contains("WARNING"), "{stdout}");
+    for name in ["first", "constant (run)", "constant (run) (2)", "constant (run) (3)"] {
+        assert!(stdout.contains(&format!("| vo     | {name} ")), "{name}: {stdout}");
+    }
+
     // Scores whose measurements were changed afterwards.
     std::fs::copy(folder.path().join("fewer.csv"), folder.path().join("first.csv")).unwrap();
-    relcov().arg("report").arg(&first).assert().code(1).stderr(contains("holds other measurements"));
+    relcov().arg("report").arg(&first).assert().code(1).stderr(contains("first.csv: found other measurements"));
     relcov().args(["report", "nowhere"]).assert().code(1).stderr(contains("nowhere: holds no evaluation.json"));
 }
 

@@ -63,7 +63,7 @@ fn number_bar(
     number: usize,
     width: f64,
 ) -> Drawing<()> {
-    if width < 0.08 {
+    if width < 0.04 {
         return Ok(());
     }
     let ((x, y), (left, upper)) = (chart.backend_coord(&top), panel.get_base_pixel());

@@ -4,6 +4,7 @@ use plotters::prelude::*;
 
 use super::canvas::{FONT, component_label, draw_axes, log_axis, sheet, style};
 use super::{Drawing, is_drawn, series};
+use crate::evaluation::quantile;
 use crate::report::Comparison;
 
 /// Whiskers, quartiles and median.
@@ -17,7 +18,7 @@ pub(super) fn draw(comparison: &Comparison, system: &str) -> Drawing<Option<Stri
                 let pairs = series.errors(c).into_iter().zip(series.sigma(c));
                 let mut dispersion: Vec<f64> = pairs.map(|(e, sigma)| (sigma * sigma - e * e).abs().sqrt()).collect();
                 dispersion.sort_unstable_by(f64::total_cmp);
-                SHARES.map(|share| dispersion[(share * (dispersion.len() - 1) as f64).round() as usize])
+                SHARES.map(|share| quantile(&dispersion, share))
             };
             (series.label.clone(), std::array::from_fn(quantiles))
         })

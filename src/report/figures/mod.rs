@@ -62,7 +62,7 @@ fn series<'a>(comparison: &'a Comparison, system: &str, keep: impl Fn(&Judged) -
         .map(|(label, judged)| Series {
             label,
             method: judged.method,
-            pairs: judged.entry.table.systems.iter().find(|pairs| pairs.name == system).expect("it was judged"),
+            pairs: judged.pairs(system),
             covariances: judged.covariances(system),
         })
         .collect()

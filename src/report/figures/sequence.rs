@@ -26,7 +26,9 @@ pub(super) fn draw(comparison: &Comparison) -> Drawing<Option<String>> {
                 .map(move |series| (format!("{system}, {}", series.label), series))
         })
         .collect();
-    let Some((_, first)) = columns.first() else { return Ok(None) };
+    if columns.is_empty() {
+        return Ok(None);
+    }
     let group = columns.iter().map(|(_, series)| series.covariances.len()).max().unwrap_or(1).div_ceil(MOST_POINTS);
     let grouped = |values: Vec<f64>| -> Vec<f64> {
         let mean_square = |group: &[f64]| group.iter().map(|value| value * value).sum::<f64>() / group.len() as f64;
@@ -43,7 +45,6 @@ pub(super) fn draw(comparison: &Comparison) -> Drawing<Option<String>> {
     if comparison.entries.len() > MOST_RESULTS {
         title += &format!(", the first {MOST_RESULTS} of {} results", comparison.entries.len());
     }
-    let borders: Vec<f64> = first.pairs.drives().iter().skip(1).map(|drive| drive.start as f64).collect();
     let size = [60 + 440 * columns.len() as u32, 38 + 6 * 150];
     let line = style(0);
     let legend = [("predicted σ".to_owned(), line), ("|e|".to_owned(), full_line(ERROR))];
@@ -59,7 +60,7 @@ pub(super) fn draw(comparison: &Comparison) -> Drawing<Option<String>> {
         let mut chart = builder.build_cartesian_2d(0.0..pairs, 0.0..highest[component])?;
         let name = if column == 0 { component_label(component) } else { String::new() };
         draw_axes(&mut chart, if component == 5 { "pair" } else { " " }, &name)?;
-        for &border in &borders {
+        for border in columns[column].1.pairs.drives().iter().skip(1).map(|drive| drive.start as f64) {
             chart.draw_series(LineSeries::new([(border, 0.0), (border, highest[component])], GREY.mix(0.5)))?;
         }
         let place = |index: usize| (index * group) as f64 + 0.5 * (group - 1) as f64;

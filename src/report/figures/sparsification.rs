@@ -2,9 +2,10 @@
 
 use plotters::prelude::*;
 
-use super::canvas::{component_label, draw_axes, draw_line, sheet, style};
+use super::canvas::{draw_axes, draw_line, sheet, style};
 use super::{Drawing, is_drawn, series};
 use crate::evaluation::sparsification_curve;
+use crate::geometry::Conventions;
 use crate::report::Comparison;
 
 /// Points of a drawn curve.
@@ -24,7 +25,11 @@ pub(super) fn draw(comparison: &Comparison, system: &str) -> Drawing<Option<Stri
             .x_label_area_size(36)
             .y_label_area_size(58)
             .build_cartesian_2d(0.0..1.0, 0.0..1.4)?;
-        draw_axes(&mut chart, "share left out", &format!("mean |e| of {}, relative", component_label(component)))?;
+        draw_axes(
+            &mut chart,
+            "share left out",
+            &format!("mean |e| of {}, relative", Conventions::COMPONENTS[component]),
+        )?;
         let errors = first.errors(component);
         let sizes: Vec<f64> = errors.iter().map(|error| error.abs()).collect();
         let perfect = thinned(sparsification_curve(&sizes, &errors));
