@@ -3,7 +3,8 @@
 # requires-python = ">=3.10"
 # dependencies = ["numpy", "scipy", "uncertainty-toolbox==0.1.1", "arch==8.0.0"]
 # ///
-"""Judges random predictions with relcov and with scipy, uncertainty-toolbox and arch, and compares every score.
+"""Judges random predictions with relcov and with scipy, uncertainty-toolbox, arch and numpy, and compares scores,
+block lengths and an interval.
 
     cargo build --release && uv run data_scripts/check_metrics.py
 

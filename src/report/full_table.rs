@@ -1,4 +1,4 @@
-//! Every score of every method in one wide table, for programs.
+//! The scores of every method in one wide table, for programs.
 
 use super::comparison::{Comparison, Judged};
 use super::scores::named_columns;

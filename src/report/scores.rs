@@ -17,7 +17,7 @@ pub enum Intervals {
     Hidden,
 }
 
-/// Everything in one form: text and Markdown for people, one wide table of all scores as CSV, the paper's
+/// Everything in one form: text and Markdown for people, one wide table as CSV, the paper's
 /// Table II as LaTeX.
 pub fn render_results(comparison: &Comparison, format: TableFormat, intervals: Intervals) -> String {
     match format {
