@@ -189,7 +189,7 @@ where
 {
     let mut mesh = chart.configure_mesh();
     mesh.light_line_style(WHITE).bold_line_style(GREY.mix(0.25)).label_style((FONT, 11)).axis_desc_style((FONT, 12));
-    mesh.x_desc(x_name).y_desc(y_name).y_labels(7).x_label_formatter(&tick).y_label_formatter(&tick);
+    mesh.x_desc(x_name).y_desc(y_name).x_labels(6).y_labels(7).x_label_formatter(&tick).y_label_formatter(&tick);
     if x_name.is_empty() {
         mesh.disable_x_mesh().x_labels(0);
     }
