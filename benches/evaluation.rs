@@ -40,16 +40,7 @@ fn judge(criterion: &mut Criterion) {
         systems: vec![SystemPairs { name: "vo".to_owned(), simulated: true, rows }],
     };
     let baselines = vec![("vo".to_owned(), Baselines::of_system(&table.systems[0]))];
-    let origin = Origin {
-        run: "bench".to_owned(),
-        predicted: Some("relcov".to_owned()),
-        split: "test".to_owned(),
-        device: "none".to_owned(),
-        unreadable_frames: Vec::new(),
-        recalibration: None,
-        log_variance_floor: None,
-        configuration: None,
-    };
+    let origin = Origin::new("bench".to_owned(), Some("relcov".to_owned()), "test");
     let evaluate = || evaluate_table(&table, &baselines, origin.clone()).expect("a prediction for each pair");
     let mut group = criterion.benchmark_group("judge 100,000 pairs");
     group.sample_size(10);

@@ -275,7 +275,7 @@ fn evaluate_baselines(mut config: Config, path: &Path, split: SplitName) -> anyh
         .collect();
     dataset.require(SplitName::Train)?;
     let table = PairTable::from_split(dataset.require(split)?, &dataset, config.data.error_frame);
-    let origin = origin_of_file(path, None, split.name());
+    let origin = Origin::new(path.display().to_string(), None, split.name());
     let evaluation = evaluate_table(&table, &fitted, origin)?;
     Ok(Entry { name: config.name, evaluation, table, folder: None })
 }
@@ -299,19 +299,7 @@ fn evaluate_file(pairs: &Path, fit: Option<&Path>, frame: ErrorFrame) -> anyhow:
         // A file called `constant` is not the constant baseline.
         name.insert_str(0, "predicted_");
     }
-    let evaluation = evaluate_table(&table, &fitted, origin_of_file(pairs, Some(name.clone()), "given"))?;
+    let evaluation =
+        evaluate_table(&table, &fitted, Origin::new(pairs.display().to_string(), Some(name.clone()), "given"))?;
     Ok(Entry { name, evaluation, table, folder: None })
-}
-
-fn origin_of_file(path: &Path, predicted: Option<String>, split: &str) -> Origin {
-    Origin {
-        run: path.display().to_string(),
-        predicted,
-        split: split.to_owned(),
-        device: "none".to_owned(),
-        unreadable_frames: Vec::new(),
-        recalibration: None,
-        log_variance_floor: None,
-        configuration: None,
-    }
 }

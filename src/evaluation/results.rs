@@ -74,6 +74,22 @@ pub struct Origin {
     pub configuration: Option<String>,
 }
 
+impl Origin {
+    /// Of predictions that came without a model.
+    pub fn new(run: String, predicted: Option<String>, split: &str) -> Self {
+        Self {
+            run,
+            predicted,
+            split: split.to_owned(),
+            device: "none".to_owned(),
+            unreadable_frames: Vec::new(),
+            recalibration: None,
+            log_variance_floor: None,
+            configuration: None,
+        }
+    }
+}
+
 /// One system.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SystemEvaluation {
@@ -209,16 +225,7 @@ mod tests {
     use crate::evaluation::pair_table::made_row as row;
 
     fn origin() -> Origin {
-        Origin {
-            run: "run".to_owned(),
-            predicted: Some("relcov".to_owned()),
-            split: "test".to_owned(),
-            device: "flex".to_owned(),
-            unreadable_frames: Vec::new(),
-            recalibration: None,
-            log_variance_floor: None,
-            configuration: None,
-        }
+        Origin::new("run".to_owned(), Some("relcov".to_owned()), "test")
     }
 
     fn evaluated(simulated: bool, rows: &[PairRow], origin: Origin) -> Result<SystemEvaluation> {

@@ -328,16 +328,7 @@ mod tests {
         let gnss = system("gnss", (0..4).map(|source| row(source, 0.0, 0.1)).collect());
         let fitted = vec![("vo".to_owned(), Baselines::of_system(&vo))];
         let table = PairTable { error_frame: ErrorFrame::Vehicle, systems: vec![vo, gnss] };
-        let origin = Origin {
-            run: "run".to_owned(),
-            predicted: Some("relcov".to_owned()),
-            split: "test".to_owned(),
-            device: "flex".to_owned(),
-            unreadable_frames: Vec::new(),
-            recalibration: None,
-            log_variance_floor: None,
-            configuration: None,
-        };
+        let origin = Origin::new("run".to_owned(), Some("relcov".to_owned()), "test");
         let mut evaluation = evaluate_table(&table, &fitted, origin).unwrap();
         evaluation.perturbation_response = Some(PerturbationResponse {
             pairs: 512,

@@ -5,6 +5,7 @@
 
 mod curves;
 mod divergence;
+mod events;
 mod history;
 mod learner;
 mod manifest;
@@ -14,7 +15,8 @@ mod schedule;
 mod setup;
 
 pub use divergence::DivergenceRule;
+pub use events::{Event, Outcome, StopReason};
 pub use history::{EpochRow, History};
-pub use learner::{Event, Learner, Outcome, StopReason};
+pub use learner::Learner;
 pub use manifest::{Manifest, SystemSummary};
 pub use run_folder::{EVALUATION, FIGURES, LOSSES, PAIRS, RunFolder};
