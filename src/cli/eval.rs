@@ -8,7 +8,7 @@ use clap::{ArgGroup, Args, ValueEnum};
 use super::output::OutputArguments;
 use super::progress::{Progress, note};
 use super::{Overrides, Terminal, synth};
-use crate::config::Config;
+use crate::config::{Config, MinLogVariance, ModelConfig};
 use crate::data::{BadFrame, Dataset, PairReader, PairScope, SplitName};
 use crate::device::{device_name, open_device};
 use crate::error::{Error, Place};
@@ -155,9 +155,20 @@ pub fn evaluate_run(
     let run = RunFolder::open(run_path)?;
     let manifest = run.manifest()?;
     let mut config = overrides.load(config.unwrap_or(&run.config_path()))?;
+    // The data may be another configuration's; the model is the run's.
     let architecture = &manifest.architecture;
-    (config.model.width, config.model.height) = (architecture.width, architecture.height);
-    config.model.stereo = architecture.stereo;
+    config.model = ModelConfig {
+        width: architecture.width,
+        height: architecture.height,
+        pair: architecture.pair,
+        input: architecture.input,
+        validity_mask: architecture.validity_mask,
+        stereo: architecture.stereo,
+        pose: architecture.pose,
+        head: architecture.head,
+        dropout: architecture.dropout,
+        min_log_variance: architecture.log_variance_floor.map_or(MinLogVariance::Off, MinLogVariance::Absolute),
+    };
     if config.data.error_frame != manifest.conventions.error_frame {
         return Err(Error::config(
             "data.error_frame",
