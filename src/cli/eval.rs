@@ -306,7 +306,7 @@ fn evaluate_file(pairs: &Path, fit: Option<&Path>, frame: ErrorFrame) -> anyhow:
         }
     };
     let mut name = pairs.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    if Method::ALL[1..].iter().any(|method| method.name(RELCOV) == name) {
+    if Method::is_taken(&name) {
         // A file called `constant` is not the constant baseline.
         name.insert_str(0, "predicted_");
     }

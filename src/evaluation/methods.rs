@@ -44,6 +44,11 @@ impl Method {
         Self::OracleDiagonal,
     ];
 
+    /// Whether predictions of that name would be taken for a baseline.
+    pub fn is_taken(name: &str) -> bool {
+        Self::ALL[1..].iter().any(|method| method.name("") == name)
+    }
+
     /// Name in tables and files; `predicted` is what the predictions are called.
     pub fn name(self, predicted: &str) -> String {
         match self {

@@ -1,12 +1,11 @@
 //! Measurements with their errors and predicted covariances, free of images and models: what every score and
 //! figure is made from.
 
-use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
 
 use super::prediction::Prediction;
-use crate::data::{Dataset, Split};
+use crate::data::{Dataset, Pair, PairId, Split};
 use crate::files::sha256_hex;
 use crate::geometry::{Covariance6, ErrorFrame};
 
@@ -54,40 +53,70 @@ pub struct PairRow {
 impl PairTable {
     /// The predictions of a model for a split.
     pub fn from_predictions(predictions: &[Prediction], dataset: &Dataset, error_frame: ErrorFrame) -> Self {
-        let names = drive_names(dataset);
-        let systems = dataset.systems.iter().zip(&dataset.simulated).enumerate().map(|(index, (name, &simulated))| {
-            let rows = predictions.iter().filter(|prediction| prediction.system == index).map(|prediction| PairRow {
-                drive: names[prediction.pair.drive].clone(),
-                source: prediction.pair.source,
-                target: prediction.pair.target,
-                interval_s: interval_s(dataset, prediction.pair.drive, prediction.pair.source, prediction.pair.target),
-                motion: Some(prediction.motion.into()),
-                error: prediction.error,
-                covariance: Some(prediction.covariance),
-                stated: prediction.stated_covariance,
-            });
-            SystemPairs::new(name, simulated, rows)
-        });
-        Self { error_frame, systems: systems.collect() }
+        Self::collect(dataset, error_frame, |system, drives| {
+            let rows = predictions.iter().filter(|row| row.system == system);
+            let row = |row: &Prediction| PairRow {
+                motion: Some(row.motion.into()),
+                error: row.error,
+                covariance: Some(row.covariance),
+                stated: row.stated_covariance,
+                ..drives.row(row.pair)
+            };
+            rows.map(row).collect()
+        })
     }
 
     /// The measurements of a split without predictions.
     pub fn from_split(split: &Split, dataset: &Dataset, error_frame: ErrorFrame) -> Self {
-        let names = drive_names(dataset);
-        let systems = dataset.systems.iter().zip(&dataset.simulated).enumerate().map(|(index, (name, &simulated))| {
-            let rows = split.pairs_of(index).iter().map(|pair| PairRow {
-                drive: names[pair.id.drive].clone(),
-                source: pair.id.source,
-                target: pair.id.target,
-                interval_s: interval_s(dataset, pair.id.drive, pair.id.source, pair.id.target),
+        Self::collect(dataset, error_frame, |system, drives| {
+            let row = |pair: &Pair| PairRow {
                 motion: Some(pair.motion.into()),
                 error: pair.error.into(),
-                covariance: None,
                 stated: pair.stated_covariance,
-            });
-            SystemPairs::new(name, simulated, rows)
+                ..drives.row(pair.id)
+            };
+            split.pairs_of(system).iter().map(row).collect()
+        })
+    }
+
+    /// System by system, rows in the order of their names.
+    fn collect(
+        dataset: &Dataset,
+        error_frame: ErrorFrame,
+        rows_of: impl Fn(usize, &DriveNames) -> Vec<PairRow>,
+    ) -> Self {
+        let drives =
+            DriveNames { dataset, names: dataset.drives.iter().map(|drive| Arc::from(drive.name.as_str())).collect() };
+        let systems = dataset.systems.iter().zip(&dataset.simulated).enumerate().map(|(index, (name, &simulated))| {
+            let mut rows = rows_of(index, &drives);
+            rows.sort_by_key(PairRow::key);
+            SystemPairs { name: name.clone(), simulated, rows }
         });
         Self { error_frame, systems: systems.collect() }
+    }
+}
+
+/// The drives of a data set, each name kept once.
+struct DriveNames<'a> {
+    dataset: &'a Dataset,
+    names: Vec<Arc<str>>,
+}
+
+impl DriveNames<'_> {
+    /// Where and when a pair was made; nothing measured yet.
+    fn row(&self, pair: PairId) -> PairRow {
+        let times = &self.dataset.drives[pair.drive].timestamps_s;
+        let interval_s = times.get(&pair.target).zip(times.get(&pair.source)).map(|(target, source)| target - source);
+        PairRow {
+            drive: self.names[pair.drive].clone(),
+            source: pair.source,
+            target: pair.target,
+            interval_s: interval_s.filter(|&interval| interval > 0.0),
+            motion: None,
+            error: [0.0; 6],
+            covariance: None,
+            stated: None,
+        }
     }
 }
 
@@ -106,13 +135,6 @@ impl SystemPairs {
             text += &format!("{drive} {source} {target} {error:?}\n");
         }
         sha256_hex(text.as_bytes())
-    }
-
-    /// The measurements of a system in the order of their names.
-    fn new(name: &str, simulated: bool, rows: impl Iterator<Item = PairRow>) -> Self {
-        let mut rows: Vec<PairRow> = rows.collect();
-        rows.sort_by_key(PairRow::key);
-        Self { name: name.to_owned(), simulated, rows }
     }
 
     /// Whether it is the truth itself.
@@ -144,15 +166,6 @@ impl PairRow {
         let [x, y, z, ..] = self.motion?;
         Some((x * x + y * y + z * z).sqrt() / self.interval_s?)
     }
-}
-
-fn drive_names(dataset: &Dataset) -> Vec<Arc<str>> {
-    dataset.drives.iter().map(|drive| Arc::from(drive.name.as_str())).collect()
-}
-
-fn interval_s(dataset: &Dataset, drive: usize, source: usize, target: usize) -> Option<f64> {
-    let times: &BTreeMap<usize, f64> = &dataset.drives[drive].timestamps_s;
-    Some(times.get(&target)? - times.get(&source)?).filter(|&interval| interval > 0.0)
 }
 
 /// A measurement with equal errors and variances in all components, whose true σ is 0.2.

@@ -123,7 +123,7 @@ impl Comparison {
         let names: Vec<String> = entries.iter().map(|entry| entry.name.clone()).collect();
         for (index, entry) in entries.iter_mut().enumerate() {
             let twins = names[..index].iter().filter(|name| **name == names[index]).count();
-            if Method::ALL[1..].iter().any(|method| method.name("") == names[index]) {
+            if Method::is_taken(&names[index]) {
                 // A run called `constant` is not the baseline.
                 entry.name += " (run)";
             }

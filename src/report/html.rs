@@ -4,9 +4,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::comparison::Comparison;
 use super::figures::{Figure, draw_figures};
-use super::scores::{
-    Intervals, calibration_table, crps_table, notes, preface, score_table, separation_table, true_sigma_table,
-};
+use super::scores::{Intervals, notes, preface, tables};
 use super::table::{Cell, Table};
 use crate::error::Result;
 use crate::geometry::Conventions;
@@ -22,13 +20,7 @@ pub fn html_page(comparison: &Comparison) -> Result<String> {
     let title = format!("relcov: {}", names.join(", "));
     let figures = draw_figures(comparison)?;
     let configurations = configurations(comparison);
-    let tables = [
-        Some(score_table(comparison, Intervals::Shown)),
-        Some(crps_table(comparison, Intervals::Shown)),
-        calibration_table(comparison),
-        true_sigma_table(comparison),
-        separation_table(comparison),
-    ];
+    let tables = tables(comparison, Intervals::Shown);
     let page = html! {
         (DOCTYPE)
         html lang="en" {
@@ -54,7 +46,7 @@ pub fn html_page(comparison: &Comparison) -> Result<String> {
                 main {
                     section id="tables" {
                         h2 { "Tables" }
-                        @for table in tables.iter().flatten() { (table_markup(table)) }
+                        @for table in &tables { (table_markup(table)) }
                         ul.notes { @for note in notes(comparison, "Bold") { li { (note) } } }
                     }
                     section id="figures" {

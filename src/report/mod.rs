@@ -12,5 +12,5 @@ mod table_two;
 pub use comparison::{Comparison, Entry, Judged};
 pub use contact_sheet::{CONTACT_SHEET_COLUMNS, contact_sheet};
 pub use html::html_page;
-pub use scores::{Intervals, calibration_table, render_results, score_table, true_sigma_table};
-pub use table::{Better, Cell, Table, TableFormat, three_digits};
+pub use scores::{Intervals, render_results};
+pub use table::TableFormat;

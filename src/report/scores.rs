@@ -26,14 +26,7 @@ pub fn render_results(comparison: &Comparison, format: TableFormat, intervals: I
         TableFormat::Text | TableFormat::Markdown => {
             let mut parts = vec![preface(comparison)];
             parts.extend(comparison.warnings.iter().map(|warning| format!("WARNING: {warning}\n")));
-            let tables = [
-                Some(score_table(comparison, intervals)),
-                Some(crps_table(comparison, intervals)),
-                calibration_table(comparison),
-                true_sigma_table(comparison),
-                separation_table(comparison),
-            ];
-            for table in tables.into_iter().flatten() {
+            for table in tables(comparison, intervals) {
                 let title = if format == TableFormat::Text { format!("\n{}\n", table.title) } else { "\n".to_owned() };
                 parts.push(title + &table.render(format));
             }
@@ -42,6 +35,18 @@ pub fn render_results(comparison: &Comparison, format: TableFormat, intervals: I
             parts.concat()
         }
     }
+}
+
+/// The tables for people.
+pub(super) fn tables(comparison: &Comparison, intervals: Intervals) -> Vec<Table> {
+    let tables = [
+        Some(score_table(comparison, intervals)),
+        Some(crps_table(comparison, intervals)),
+        calibration_table(comparison),
+        true_sigma_table(comparison),
+        separation_table(comparison),
+    ];
+    tables.into_iter().flatten().collect()
 }
 
 /// Frame, order, side and what was evaluated: stands above every table.
@@ -99,7 +104,7 @@ pub fn notes(comparison: &Comparison, mark: &str) -> Vec<String> {
 }
 
 /// MDE of every component, NLL and ANEES: methods below one another.
-pub fn score_table(comparison: &Comparison, intervals: Intervals) -> Table {
+fn score_table(comparison: &Comparison, intervals: Intervals) -> Table {
     let header = named_columns(&["system", "method"]).chain(unit_columns("")).chain(named_columns(&["NLL", "ANEES"]));
     let row = |metrics: &Metrics| {
         let mut cells: Vec<Cell> = (0..6).map(|c| mde_cell(metrics, c, intervals)).collect();
@@ -111,7 +116,7 @@ pub fn score_table(comparison: &Comparison, intervals: Intervals) -> Table {
 }
 
 /// CRPS of every component, and two joint scores.
-pub fn crps_table(comparison: &Comparison, intervals: Intervals) -> Table {
+fn crps_table(comparison: &Comparison, intervals: Intervals) -> Table {
     let joint = ["NLL - constant's", "e'R^-1 e < 12.6"];
     let header = named_columns(&["system", "method"]).chain(unit_columns("")).chain(named_columns(&joint));
     let row = |metrics: &Metrics| {
@@ -178,7 +183,7 @@ pub(super) fn competes(judged: &Judged) -> bool {
 }
 
 /// Calibration and sharpness of the predictions, component by component.
-pub fn calibration_table(comparison: &Comparison) -> Option<Table> {
+fn calibration_table(comparison: &Comparison) -> Option<Table> {
     type Score = (&'static str, fn(&Metrics) -> Option<[Option<f64>; 6]>);
     let scores: [Score; 9] = [
         ("mean σ [m, rad]", |metrics| Some(metrics.sharpness.map(Some))),
@@ -215,7 +220,7 @@ pub fn calibration_table(comparison: &Comparison) -> Option<Table> {
 }
 
 /// Predicted beside true σ, where the data state true covariances.
-pub fn true_sigma_table(comparison: &Comparison) -> Option<Table> {
+fn true_sigma_table(comparison: &Comparison) -> Option<Table> {
     let mut rows = Vec::new();
     for system in comparison.systems() {
         for (name, judged) in comparison.methods(system) {
@@ -232,7 +237,7 @@ pub fn true_sigma_table(comparison: &Comparison) -> Option<Table> {
 }
 
 /// How well each entry tells an accurate system from an inaccurate one, and a wrong pose from a right one.
-pub fn separation_table(comparison: &Comparison) -> Option<Table> {
+fn separation_table(comparison: &Comparison) -> Option<Table> {
     let mut rows = Vec::new();
     for entry in &comparison.entries {
         let (separation, response) = (&entry.evaluation.separation, &entry.evaluation.perturbation_response);

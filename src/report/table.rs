@@ -166,7 +166,7 @@ pub enum Better {
 
 impl Better {
     /// Smaller is better.
-    fn rank(self, value: f64) -> Option<f64> {
+    pub(super) fn rank(self, value: f64) -> Option<f64> {
         match self {
             Self::Lower => Some(value),
             Self::Near(target) => Some((value - target).abs()),

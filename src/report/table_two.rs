@@ -2,7 +2,7 @@
 
 use super::comparison::{Comparison, Judged};
 use super::scores::{Intervals, anees_cell, competes, mde_cell, named_columns, nll_cell, preface, unit_columns};
-use super::table::{Cell, Table, mark};
+use super::table::{Better, Cell, Table, mark};
 use crate::evaluation::Metrics;
 
 /// The paper's Table II: systems and components below one another, methods side by side.
@@ -32,12 +32,12 @@ pub fn table_two(comparison: &Comparison, intervals: Intervals) -> Table {
             if cells.iter().all(|cell| cell.text.is_empty()) {
                 continue;
             }
-            let distance = |value: f64| if index == 7 { (value - 1.0).abs() } else { value };
+            let better = if index == 7 { Better::Near(1.0) } else { Better::Lower };
             let competing = |label: &String| found(label).is_some_and(|(_, judged)| competes(judged));
             let ranks: Vec<Option<f64>> = labels
                 .iter()
                 .zip(&cells)
-                .map(|(label, cell)| cell.value.filter(|_| competing(label)).map(distance))
+                .map(|(label, cell)| cell.value.filter(|_| competing(label)).and_then(|value| better.rank(value)))
                 .collect();
             if comparison.is_fair() {
                 mark(cells.iter_mut(), &ranks);

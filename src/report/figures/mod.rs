@@ -73,6 +73,34 @@ fn is_drawn(judged: &Judged) -> bool {
     !matches!(judged.method, Method::Zero | Method::ConstantMad | Method::Uncalibrated | Method::Oracle)
 }
 
+/// Name, caption and drawing of a figure that each system has.
+type SystemFigure = (&'static str, &'static str, fn(&Comparison, &str) -> Drawing<Option<String>>);
+
+const BY_SYSTEM: [SystemFigure; 6] = [
+    (
+        "dispersion",
+        "dispersion errors √|R − e²| (paper Fig. 4): boxes from the lower to the upper quartile, line at the median (MDE), whiskers from 5 to 95 %. An improper score: a prediction of zero can win it.",
+        dispersion::draw,
+    ),
+    (
+        "reliability",
+        "errors (RMSE) where σ is small and where it is large, ten bins of equal count. Calibrated predictions lie on the diagonal; below it they are too large.",
+        reliability::draw,
+    ),
+    ("coverage", "share of errors within 1, 2 and 3 σ. Calibrated predictions reach the lines.", coverage::draw),
+    (
+        "sparsification",
+        "mean |e| of the pairs that are left when those of the largest σ are left out first. The nearer to the dotted line (by |e| itself) the better σ ranks errors; a constant stays at 1.",
+        sparsification::draw,
+    ),
+    (
+        "nees",
+        "normalised errors eᵀR⁻¹e along the sequence. Calibrated ones lie within the band (95 % of χ² with 6 degrees of freedom) 95 % of the time; line: running mean, which should be 6.",
+        nees::draw,
+    ),
+    ("speed", "predicted σ against measured speed; lines: medians of bins of equal count.", speed::draw),
+];
+
 /// Draws every figure that the results allow.
 ///
 /// # Errors
@@ -90,45 +118,9 @@ pub fn draw_figures(comparison: &Comparison) -> Result<Vec<Figure>> {
         sequence::draw(comparison),
     );
     for system in comparison.systems() {
-        let named = |figure: &str| format!("{figure}_{system}");
-        add(
-            named("dispersion"),
-            format!(
-                "{system}: dispersion errors √|R − e²| (paper Fig. 4): boxes from the lower to the upper quartile, line at the median (MDE), whiskers from 5 to 95 %. An improper score: a prediction of zero can win it."
-            ),
-            dispersion::draw(comparison, system),
-        );
-        add(
-            named("reliability"),
-            format!(
-                "{system}: errors (RMSE) where σ is small and where it is large, ten bins of equal count. Calibrated predictions lie on the diagonal; below it they are too large."
-            ),
-            reliability::draw(comparison, system),
-        );
-        add(
-            named("coverage"),
-            format!("{system}: share of errors within 1, 2 and 3 σ. Calibrated predictions reach the lines."),
-            coverage::draw(comparison, system),
-        );
-        add(
-            named("sparsification"),
-            format!(
-                "{system}: mean |e| of the pairs that are left when those of the largest σ are left out first. The nearer to the dotted line (by |e| itself) the better σ ranks errors; a constant stays at 1."
-            ),
-            sparsification::draw(comparison, system),
-        );
-        add(
-            named("nees"),
-            format!(
-                "{system}: normalised errors eᵀR⁻¹e along the sequence. Calibrated ones lie within the band (95 % of χ² with 6 degrees of freedom) 95 % of the time; line: running mean, which should be 6."
-            ),
-            nees::draw(comparison, system),
-        );
-        add(
-            named("speed"),
-            format!("{system}: predicted σ against measured speed; lines: medians of bins of equal count."),
-            speed::draw(comparison, system),
-        );
+        for (name, caption, draw) in BY_SYSTEM {
+            add(format!("{name}_{system}"), format!("{system}: {caption}"), draw(comparison, system));
+        }
     }
     for entry in &comparison.entries {
         let Some(path) = entry.folder.as_ref().map(|folder| folder.join(LOSSES)).filter(|path| path.is_file()) else {
