@@ -9,15 +9,18 @@ block lengths and an interval.
     cargo build --release && uv run data_scripts/check_metrics.py
 
 Without uv: pip install numpy scipy uncertainty-toolbox arch, then run it with python.
-Exits with 1 and names the scores that differ.
+Exits with 1 and names the scores that differ. `--measure 100000` prints time and memory of judging so many
+pairs with full covariances instead.
 """
 
 import argparse
 import csv
 import json
+import resource
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 import numpy
@@ -156,10 +159,28 @@ def check(relcov, folder, full, seed):
     compare(f"{kind} interval of ANEES, in its width", 1 + off, [1, 1], 0.12)
 
 
+def measure(relcov, folder, pairs):
+    random = numpy.random.default_rng(7)
+    errors, covariances = random_table(random, pairs, full=True)
+    write(folder / "mine.csv", errors, covariances, True, random.normal(0, 0.5, (pairs, 6)))
+    command = [relcov, "eval", "--quiet", "--error-frame", "vehicle", "--pairs", folder / "mine.csv"]
+    command += ["--fit", folder / "mine.csv", "--save-results", folder / "scores.json", "--save-plot", folder / "figures"]
+    begin = time.time()
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    seconds, peak = time.time() - begin, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
+    size = (folder / "mine.csv").stat().st_size / 1e6
+    print(f"{pairs} pairs ({size:.0f} MB, read twice), scores, figures and results: {seconds:.1f} s, {peak:.0f} MiB")
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--relcov", default=ROOT / "target/release/relcov", help="the program [default: %(default)s]")
+    parser.add_argument("--measure", type=int, metavar="PAIRS", help="measure time and memory of so many pairs")
     arguments = parser.parse_args()
+    if arguments.measure:
+        with tempfile.TemporaryDirectory() as folder:
+            measure(arguments.relcov, Path(folder), arguments.measure)
+        return
     for full in (False, True):
         with tempfile.TemporaryDirectory() as folder:
             check(arguments.relcov, Path(folder), full, seed=7)
