@@ -14,6 +14,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
+use crate::depth::{ScaleRule, ScaleScope};
 use crate::geometry::ErrorFrame;
 use crate::model::{ImagePair, InputBasis, PoseInput};
 use crate::network::Head;
@@ -215,6 +216,26 @@ pub enum DepthConfig {
         /// Path below `data.root`, with `{date}`, `{drive}` and `{frame}` (ten digits).
         path: String,
     },
+    /// A depth network; `relcov depth` keeps its maps.
+    Monodepth2(NetworkDepthConfig),
+}
+
+/// A depth network, what makes its depths metres, and where its maps are kept.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NetworkDepthConfig {
+    /// Folder of its weights: `encoder.pth` and `depth.pth` as published, or what `relcov train-depth` made.
+    pub weights: PathBuf,
+    /// What makes its depths metres. Default: what the weights call for: 1 for those made by `relcov train-depth`,
+    /// 5.4 for published ones trained on stereo pairs, else the mean of the LiDAR (the paper).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scale: Option<ScaleRule>,
+    /// Which LiDAR returns a frame's scale is taken from. Default: those of the frame (the paper).
+    #[serde(default)]
+    pub scope: ScaleScope,
+    /// Folder of its maps. Default: `depth/WEIGHTS` in `checkpoints`, WEIGHTS being the name of their folder.
+    #[serde(default)]
+    pub cache: PathBuf,
 }
 
 impl Default for DepthConfig {

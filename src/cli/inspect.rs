@@ -65,7 +65,7 @@ fn draw_contact_sheet(path: &Path, pairs: usize, config: &Config, dataset: &Data
     let mut measured: BTreeMap<PairId, Vec<&Pair>> = BTreeMap::new();
     splits.iter().flat_map(|split| &split.pairs).for_each(|pair| measured.entry(pair.id).or_default().push(pair));
     anyhow::ensure!(!measured.is_empty(), "no pair has images and depth: there is nothing to draw");
-    let reader = PairReader::new(config, dataset, SplitName::Test);
+    let reader = PairReader::new(config, dataset, SplitName::Test)?;
     let device = open_device(&config.device)?;
     let (mut rows, mut legend) = (Vec::new(), String::new());
     let count = measured.len();

@@ -2,6 +2,7 @@
 //!
 //! Results go to stdout, progress and logs to stderr. Exit codes: 0 fine, 1 failed, 2 usage, 130 interrupted.
 
+mod depth;
 mod eval;
 mod inspect;
 mod output;
@@ -49,6 +50,8 @@ enum Command {
     Eval(eval::EvalArguments),
     /// Show what a configuration finds: drives, frames, pairs, systems, depth, problems
     Inspect(inspect::InspectArguments),
+    /// Make the depth maps of an experiment by a network, or judge any depth against LiDAR
+    Depth(depth::DepthArguments),
     /// Compare results: tables, figures, one page
     Report(report::ReportArguments),
     /// Render a synthetic street world in the KITTI raw layout, with systems of known covariance
@@ -89,6 +92,7 @@ pub fn run() -> ExitCode {
         Command::Train(arguments) => train::run(arguments, &terminal),
         Command::Eval(arguments) => eval::run(arguments, &terminal),
         Command::Inspect(arguments) => inspect::run(&arguments),
+        Command::Depth(arguments) => depth::run(&arguments, &terminal),
         Command::Report(arguments) => report::run(&arguments, &terminal),
         Command::Synth(arguments) => synth::run(&arguments, &terminal),
     };

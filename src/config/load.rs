@@ -4,7 +4,9 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-use super::{Config, DATA_ROOT_VARIABLE, DataConfig, TrainingConfig, default_cache_mb, default_checkpoints};
+use super::{
+    Config, DATA_ROOT_VARIABLE, DataConfig, DepthConfig, TrainingConfig, default_cache_mb, default_checkpoints,
+};
 use super::{default_device, default_max_bad_fraction, overrides};
 use crate::error::{Error, Place, Result};
 use crate::files::{read_text, sha256_hex};
@@ -20,7 +22,7 @@ impl Config {
         let folder = path.parent().unwrap_or(Path::new(""));
         let data_root = std::env::var_os(DATA_ROOT_VARIABLE).map(PathBuf::from);
         let table = overrides::merge(&text, path, folder, data_root.as_deref(), overrides)?;
-        let config = Self::deserialize(table).map_err(|error| {
+        let mut config = Self::deserialize(table).map_err(|error| {
             let expected = "a relcov configuration (README.md, \"Configuration\")";
             let place = Place::Whole;
             // The text knows its lines; the merged table only its keys.
@@ -36,8 +38,19 @@ impl Config {
                 ),
             }
         })?;
+        config.name_depth_cache();
         config.validate()?;
         Ok(config)
+    }
+
+    /// Gives the depth maps of a network their default place.
+    fn name_depth_cache(&mut self) {
+        if let DepthConfig::Monodepth2(network) = &mut self.depth
+            && network.cache.as_os_str().is_empty()
+        {
+            let name = network.weights.file_name().unwrap_or_default();
+            network.cache = self.checkpoints.join("depth").join(name);
+        }
     }
 
     /// Folder of this experiment's run.
@@ -54,6 +67,11 @@ impl Config {
     /// device, and how long, fast and patiently it trains.
     pub fn experiment_fingerprint(&self) -> String {
         let defaults = TrainingConfig::default();
+        let mut depth = self.depth.clone();
+        if let DepthConfig::Monodepth2(network) = &mut depth {
+            network.weights = network.weights.file_name().unwrap_or_default().into();
+            network.cache = PathBuf::new();
+        }
         let experiment = Self {
             name: String::new(),
             checkpoints: default_checkpoints(),
@@ -71,6 +89,7 @@ impl Config {
                 watch_system: self.training.watch_system.clone(),
                 ..defaults
             },
+            depth,
             ..self.clone()
         };
         sha256_hex(experiment.to_toml().as_bytes())

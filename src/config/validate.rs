@@ -1,6 +1,7 @@
 //! What a configuration must satisfy beyond its types.
 
-use super::{Config, DepthConfig, DriveConfig, MinLogVariance};
+use super::{Config, DepthConfig, DriveConfig, MinLogVariance, NetworkDepthConfig};
+use crate::depth::ScaleRule;
 use crate::error::{Error, Result};
 use crate::files::is_plain;
 use crate::model::ImagePair;
@@ -136,6 +137,12 @@ impl Config {
                 require(row.is_finite(), "depth.horizon_px", || format!("{row} is no image row"))
             }
             DepthConfig::Lidar { .. } | DepthConfig::Files { .. } => Ok(()),
+            DepthConfig::Monodepth2(NetworkDepthConfig { scale, cache, .. }) => {
+                require(!cache.as_os_str().is_empty(), "depth.cache", || "names no folder".to_owned())?;
+                let factor = if let Some(ScaleRule::Fixed(factor)) = scale { *factor } else { 1.0 };
+                let positive = factor.is_finite() && factor > 0.0;
+                require(positive, "depth.scale", || format!("fixed = {factor} is not positive"))
+            }
         }
     }
 

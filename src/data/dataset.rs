@@ -211,6 +211,22 @@ impl Dataset {
         Ok(split)
     }
 
+    /// That no more image pairs lack depth than may be unreadable: where a network makes it, it can be made for all.
+    ///
+    /// # Errors
+    /// More lack it; the message says how many.
+    pub(super) fn require_depth(&self, config: &Config) -> Result<()> {
+        let count = |of: fn(&Coverage) -> usize| self.coverage.iter().map(of).sum::<usize>();
+        let (pairs, with_depth) = (count(|coverage| coverage.image_pairs), count(|coverage| coverage.depth_pairs));
+        if (pairs - with_depth) as f64 > config.data.max_bad_fraction * pairs as f64 {
+            return Err(Error::Data(format!(
+                "the depth cache lacks the maps of {} of {pairs} image pairs; make them with: relcov depth --config … (and the same --set)",
+                pairs - with_depth
+            )));
+        }
+        Ok(())
+    }
+
     fn explain_empty(&self, name: SplitName, system: usize) -> Error {
         let coverage: Vec<_> = self.coverage.iter().filter(|coverage| coverage.split == name).collect();
         if name == SplitName::Validation && coverage.is_empty() {

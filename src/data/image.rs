@@ -22,13 +22,24 @@ impl RgbImage {
     /// The image at another size, antialiased (bilinear kernel widened by the scale), with the pixel
     /// geometry of [`Pinhole::resized`](crate::geometry::Pinhole::resized).
     pub fn resized(self, width: usize, height: usize) -> Self {
+        self.filtered(width, height, FilterType::Bilinear)
+    }
+
+    /// The same by Lanczos' kernel of three lobes, as Pillow does it (rows, then columns; equal to a grey level): what
+    /// depth networks are trained on.
+    pub fn resized_sharply(self, width: usize, height: usize) -> Self {
+        let rows = self.height;
+        self.filtered(width, rows, FilterType::Lanczos3).filtered(width, height, FilterType::Lanczos3)
+    }
+
+    fn filtered(self, width: usize, height: usize, filter: FilterType) -> Self {
         if (self.width, self.height) == (width, height) {
             return self;
         }
         let source = ResizeImage::from_vec_u8(self.width as u32, self.height as u32, self.bytes, PixelType::U8x3)
             .expect("3 bytes a pixel");
         let mut target = ResizeImage::new(width as u32, height as u32, PixelType::U8x3);
-        let options = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(FilterType::Bilinear));
+        let options = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(filter));
         Resizer::new().resize(&source, &mut target, &options).expect("same pixel type");
         Self { width, height, bytes: target.into_vec() }
     }

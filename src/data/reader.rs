@@ -14,7 +14,7 @@ use super::dataset::{Dataset, Pair, PairId, SplitName};
 use super::drive::Drive;
 use super::image::{RgbImage, read_image};
 use crate::config::{Config, DepthConfig};
-use crate::depth::{DepthMap, load_depth};
+use crate::depth::{DepthCache, DepthMap, load_depth};
 use crate::error::{Error, Place, Result};
 use crate::geometry::{Pinhole, Pose, Tangent};
 
@@ -100,7 +100,14 @@ impl Weighter<FrameKey, Frame> for FrameWeighter {
 
 impl PairReader {
     /// A reader for the pairs of one split at the configured network size.
-    pub fn new(config: &Config, dataset: &Dataset, split: SplitName) -> Self {
+    ///
+    /// # Errors
+    /// The depth maps of a network are missing, or were made by other weights or settings.
+    pub fn new(config: &Config, dataset: &Dataset, split: SplitName) -> Result<Self> {
+        if let DepthConfig::Monodepth2(network) = &config.depth {
+            DepthCache::of(network).require(network)?;
+            dataset.require_depth(config)?;
+        }
         let (width, height) = (config.model.width, config.model.height);
         let cache_bytes = config.data.cache_mb as u64 * 1_000_000;
         let typical_frame = (3 * width * height) as u64;
@@ -108,7 +115,7 @@ impl PairReader {
         let frames: HashSet<_> =
             pairs.iter().flat_map(|pair| [(pair.id.drive, pair.id.source), (pair.id.drive, pair.id.target)]).collect();
         let max_bad_fraction = config.data.max_bad_fraction;
-        Self {
+        Ok(Self {
             root: dataset.root.clone(),
             cameras: dataset.drives.iter().map(|drive| drive.calibration.camera2.resized(width, height)).collect(),
             drives: dataset.drives.clone(),
@@ -118,7 +125,7 @@ impl PairReader {
             bad_frames: Mutex::default(),
             max_bad_frames: max_bad_fraction * frames.len() as f64,
             max_bad_fraction,
-        }
+        })
     }
 
     /// Memory that a pair takes in a batch: its colour images and a depth map of 32-bit floats.
@@ -142,11 +149,9 @@ impl PairReader {
         }
         let source_image = self.unless_bad(source_key, self.image(source_key))?;
         let target_image = self.unless_bad(target_key, self.image(target_key))?;
-        let target_depth = self.unless_bad(depth_key, self.target_depth(drive, target))?;
-        let (Some(source_image), Some(target_image), Some(target_depth)) = (source_image, target_image, target_depth)
-        else {
-            return Ok(None);
-        };
+        let (Some(source_image), Some(target_image)) = (source_image, target_image) else { return Ok(None) };
+        let target_depth = self.unless_bad(depth_key, self.target_depth(drive, target, &target_image))?;
+        let Some(target_depth) = target_depth else { return Ok(None) };
         let mut right = None;
         if self.stereo {
             let [source_image, target_image] = right_keys.map(|key| self.unless_bad(key, self.image(key)));
@@ -201,14 +206,15 @@ impl PairReader {
         Ok(image)
     }
 
-    fn target_depth(&self, drive: usize, frame: usize) -> Result<Arc<DepthMap>> {
+    fn target_depth(&self, drive: usize, frame: usize, image: &RgbImage) -> Result<Arc<DepthMap>> {
         // The road looks the same from every frame of a drive.
         let cached_frame = if matches!(self.depth, DepthConfig::GroundPlane { .. }) { 0 } else { frame };
         let key = FrameKey::Depth(drive, cached_frame);
         if let Some(Frame::Depth(depth)) = self.frames.get(&key) {
             return Ok(depth);
         }
-        let depth = Arc::new(load_depth(&self.depth, &self.drives[drive], frame, &self.root, &self.cameras[drive])?);
+        let camera = &self.cameras[drive];
+        let depth = Arc::new(load_depth(&self.depth, &self.drives[drive], frame, &self.root, camera, image)?);
         self.frames.insert(key, Frame::Depth(depth.clone()));
         Ok(depth)
     }

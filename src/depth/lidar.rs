@@ -1,6 +1,5 @@
-//! Depth from LiDAR: scans projected into the image, gaps filled from the nearest return.
+//! Depth from LiDAR: scans projected into the image.
 
-use std::collections::VecDeque;
 use std::path::Path;
 
 use nalgebra::Vector3;
@@ -63,46 +62,9 @@ pub fn project_scan(points: &[Vector3<f32>], camera_from_velodyne: &Pose, camera
     DepthMap { width: camera.width, height: camera.height, depth_m }
 }
 
-/// Gives every unknown pixel the depth of the nearest known one (steps along rows and columns), up to
-/// `radius_px` away; pixels farther from any return stay unknown.
-pub fn fill_gaps(sparse: &DepthMap, radius_px: usize) -> DepthMap {
-    let (width, height) = (sparse.width, sparse.height);
-    let mut depth_m = sparse.depth_m.clone();
-    let known = (0..depth_m.len()).filter(|&pixel| depth_m[pixel] > 0.0);
-    let mut front: VecDeque<(usize, usize)> = known.map(|pixel| (pixel, 0)).collect();
-    while let Some((pixel, distance)) = front.pop_front() {
-        if distance == radius_px {
-            continue;
-        }
-        let (u, v) = (pixel % width, pixel / width);
-        let neighbours = [
-            (u > 0).then(|| pixel - 1),
-            (u + 1 < width).then(|| pixel + 1),
-            (v > 0).then(|| pixel - width),
-            (v + 1 < height).then(|| pixel + width),
-        ];
-        for neighbour in neighbours.into_iter().flatten() {
-            if depth_m[neighbour] == 0.0 {
-                depth_m[neighbour] = depth_m[pixel];
-                front.push_back((neighbour, distance + 1));
-            }
-        }
-    }
-    DepthMap { width, height, depth_m }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn gaps_take_the_nearest_return_within_the_radius() {
-        let mut depth_m = vec![0.0; 9];
-        depth_m[1] = 5.0;
-        depth_m[5] = 7.0;
-        let filled = fill_gaps(&DepthMap { width: 9, height: 1, depth_m }, 2);
-        assert_eq!(filled.depth_m, [5.0, 5.0, 5.0, 5.0_f32, 7.0, 7.0, 7.0, 7.0, 0.0].map(|d| d));
-    }
 
     #[test]
     fn the_nearest_of_two_returns_wins_a_pixel() {

@@ -5,6 +5,7 @@ mod cli;
 mod devices;
 mod eval_cli;
 mod kitti;
+mod monodepth2;
 mod oracles;
 mod report_page;
 mod support;

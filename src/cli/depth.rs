@@ -1,0 +1,161 @@
+//! `relcov depth`.
+
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+
+use anyhow::Context;
+use clap::Args;
+use comfy_table::{CellAlignment, Table, presets};
+
+use super::progress::{Progress, note};
+use super::{Overrides, Terminal, print_result, synth};
+use crate::config::{Config, DepthConfig};
+use crate::data::{Dataset, Pair, PairScope};
+use crate::depth::{DepthCache, DepthEstimator, DepthJudge, DepthScores, FrameId, ScaleRule, precompute};
+use crate::device::{device_name, open_device};
+
+/// Arguments of `relcov depth`.
+#[derive(Args)]
+#[command(after_help = "Examples:
+  relcov depth --config configs/kitti_monodepth2.toml
+  relcov depth --config configs/kitti_monodepth2.toml --set depth.scale.fixed=5.4 --force
+  relcov depth --config configs/kitti_sample.toml --set depth.source=lidar --evaluate
+  relcov depth --config configs/synthetic.toml --evaluate --truth '{date}/{drive}/depth_02/data/{frame}.png'
+
+Fills the cache of a configuration whose depth.source is monodepth2, with the depth of every target image. What is
+there is kept, so an interrupted command goes on where it stopped. train and eval then need neither the network nor
+its weights. --evaluate judges any depth source against LiDAR, on the Eigen crop up to 80 m. docs/depth.md tells
+which source to choose and where weights come from.")]
+pub struct DepthArguments {
+    /// The experiment
+    #[arg(long, value_name = "FILE")]
+    config: PathBuf,
+    /// Remove the maps that are there, and make them anew
+    #[arg(long)]
+    force: bool,
+    /// Judge the depth of the experiment's frames against their LiDAR scans, and print the field's table
+    #[arg(long, conflicts_with = "force")]
+    evaluate: bool,
+    /// Judge against depth files (16-bit PNG, metres x 256) in place of scans: a path below data.root with {date}, {drive}, {frame}
+    #[arg(long, value_name = "PATH", requires = "evaluate")]
+    truth: Option<String>,
+    #[command(flatten)]
+    overrides: Overrides,
+}
+
+pub fn run(arguments: &DepthArguments, terminal: &Terminal) -> anyhow::Result<()> {
+    let config = arguments.overrides.load(&arguments.config)?;
+    if arguments.evaluate {
+        return evaluate(&config, arguments.truth.as_deref(), terminal);
+    }
+    let DepthConfig::Monodepth2(network) = &config.depth else {
+        anyhow::bail!(
+            "{}: depth.source is not monodepth2: there is no network to run; such a source needs no cache (--evaluate judges it)",
+            arguments.config.display()
+        );
+    };
+    let device = open_device(&config.device)?;
+    let estimator = DepthEstimator::load(&network.weights, &device)?;
+    synth::make_if_asked(&config, terminal)?;
+    // Pairs that lack nothing but the depth that is made here.
+    let dataset = Dataset::load(&Config { depth: DepthConfig::default(), ..config.clone() }, PairScope::Images)?;
+    let frames = target_frames(&dataset);
+    anyhow::ensure!(!frames.is_empty(), "no pair has images and a measured pose: there is no frame to make depth for");
+    let cache = DepthCache::of(network);
+    if arguments.force {
+        cache.clear()?;
+    }
+    let scale = network.scale.unwrap_or(estimator.default_scale);
+    note(
+        terminal.quiet,
+        &format!(
+            "device: {}; {} frames, network of {}x{}, {}",
+            device_name(&device),
+            frames.len(),
+            estimator.width,
+            estimator.height,
+            if scale.needs_lidar() { "metres by LiDAR" } else { "metres by a known factor" }
+        ),
+    );
+    let mut progress: Option<Progress> = None;
+    let begin = std::time::Instant::now();
+    let summary = precompute(&estimator, network, &dataset.drives, &frames, &mut |done, total| {
+        let rate = done as f64 / begin.elapsed().as_secs_f64();
+        progress
+            .get_or_insert_with(|| Progress::new(terminal.quiet, "depth", 0, total))
+            .set(done, &format!("{rate:.1} frames/s"));
+        Ok(())
+    })?;
+    drop(progress);
+    if !summary.unreadable.is_empty() {
+        note(false, &format!("{} frames could not be read and have no depth map", summary.unreadable.len()));
+    }
+    print_result(&describe(&cache, &summary, scale))
+}
+
+fn describe(cache: &DepthCache, summary: &crate::depth::PrecomputeSummary, scale: ScaleRule) -> String {
+    let mut text = format!("{}: {} maps made, {} kept\n", cache.folder().display(), summary.made, summary.kept);
+    if scale.needs_lidar() {
+        text += &format!(
+            "scaled by the frame's own scan: {}; by the sequence's factor: {}\n",
+            summary.by_own_scan, summary.by_sequence
+        );
+        for (drive, factor) in &summary.sequence_factors {
+            let origin = if summary.borrowed.contains(drive) { " (no scan: mean of the others)" } else { "" };
+            text += &format!("  {drive}: {factor:.3} m a unit{origin}\n");
+        }
+    }
+    text
+}
+
+/// Target frames of all pairs, each once, drive by drive.
+fn target_frames(dataset: &Dataset) -> Vec<FrameId> {
+    let pairs = [&dataset.train, &dataset.validation, &dataset.test].into_iter().flat_map(|split| &split.pairs);
+    let frames: BTreeSet<FrameId> = pairs.map(|Pair { id, .. }| (id.drive, id.target)).collect();
+    frames.into_iter().collect()
+}
+
+fn evaluate(config: &Config, truth: Option<&str>, terminal: &Terminal) -> anyhow::Result<()> {
+    if let DepthConfig::Monodepth2(network) = &config.depth {
+        DepthCache::of(network).require(network)?;
+    }
+    let dataset = Dataset::load(config, PairScope::Images)?;
+    let judge = DepthJudge::new(config, truth);
+    let mut progress: Option<Progress> = None;
+    let frames = target_frames(&dataset);
+    let judged = judge.scores(&dataset.drives, &frames, &mut |done| {
+        progress.get_or_insert_with(|| Progress::new(terminal.quiet, "judging", 0, frames.len())).set(done, "frames");
+    })?;
+    drop(progress);
+    let scores = DepthScores::mean(&judged.scores).with_context(|| {
+        format!("none of the {} frames has a true depth to be judged by: {}", frames.len(), judge.truth_name())
+    })?;
+    let median_scaled = DepthScores::mean(&judged.median_scaled).expect("judged too");
+    let mut text = format!(
+        "depth of {} of {} frames against {}, {} pixels\n{}\n",
+        scores.images,
+        frames.len(),
+        judge.truth_name(),
+        scores.pixels,
+        table(&[("as it is", scores), ("median-scaled", median_scaled)])
+    );
+    if judged.without_truth > 0 {
+        text += &format!("{} frames have no truth\n", judged.without_truth);
+    }
+    print_result(&text)
+}
+
+fn table(rows: &[(&str, DepthScores)]) -> Table {
+    let mut table = Table::new();
+    table.load_style(presets::ASCII_MARKDOWN);
+    table.set_header(["depth", "abs_rel", "sq_rel (m)", "rmse (m)", "rmse_log", "d < 1.25", "d < 1.25²", "d < 1.25³"]);
+    for (name, scores) in rows {
+        let DepthScores { abs_rel, sq_rel, rmse, rmse_log, below, .. } = scores;
+        let numbers = [*abs_rel, *sq_rel, *rmse, *rmse_log].into_iter().chain(*below);
+        table.add_row([(*name).to_owned()].into_iter().chain(numbers.map(|number| format!("{number:.3}"))));
+    }
+    for column in table.column_iter_mut().skip(1) {
+        column.set_cell_alignment(CellAlignment::Right);
+    }
+    table
+}

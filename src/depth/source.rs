@@ -1,0 +1,74 @@
+//! Depth of a frame from the source that a configuration names.
+
+use std::path::Path;
+
+use super::{DepthCache, DepthMap, files, fill_gaps, ground_plane_depth, project_scan, read_depth_png, read_scan};
+use crate::config::DepthConfig;
+use crate::data::{Drive, RgbImage};
+use crate::error::{Error, Result};
+use crate::geometry::Pinhole;
+
+/// Whether the configured source has depth for a frame.
+pub fn has_depth(config: &DepthConfig, drive: &Drive, frame: usize, root: &Path) -> bool {
+    match config {
+        DepthConfig::GroundPlane { .. } => true,
+        DepthConfig::Lidar { .. } => drive.scans.contains_key(&frame),
+        DepthConfig::Files { path } => files::depth_path(path, drive, frame, root).is_file(),
+        DepthConfig::Monodepth2(config) => DepthCache::of(config).map_path(drive, frame).is_file(),
+    }
+}
+
+/// Depth of a frame as seen by `camera`, the colour camera at the network's size; `image` is the frame at that size.
+///
+/// # Errors
+/// The frame's scan or depth file is missing or malformed, or knows the depth of no pixel.
+pub fn load_depth(
+    config: &DepthConfig,
+    drive: &Drive,
+    frame: usize,
+    root: &Path,
+    camera: &Pinhole,
+    image: &RgbImage,
+) -> Result<DepthMap> {
+    let depth = native_depth(config, drive, frame, root, camera, image)?.resized(camera.width, camera.height);
+    if depth.known().next().is_none() {
+        return Err(Error::Data(format!(
+            "{}, frame {frame}: the depth of not one pixel is known: an empty depth map, or no LiDAR return before the camera",
+            drive.name
+        )));
+    }
+    Ok(depth)
+}
+
+/// The same at the size that the source has: that of its files, else the camera's.
+///
+/// # Errors
+/// As [`load_depth`].
+pub fn native_depth(
+    config: &DepthConfig,
+    drive: &Drive,
+    frame: usize,
+    root: &Path,
+    camera: &Pinhole,
+    image: &RgbImage,
+) -> Result<DepthMap> {
+    match config {
+        DepthConfig::GroundPlane { camera_height_m, horizon_px, max_depth_m } => {
+            let full = &drive.calibration.camera2;
+            let horizon_px = horizon_px.map(|row| (row + 0.5) * camera.height as f64 / full.height as f64 - 0.5);
+            Ok(ground_plane_depth(camera, *camera_height_m, horizon_px, *max_depth_m))
+        }
+        DepthConfig::Lidar { fill_radius_px } => {
+            let path = drive.scans.get(&frame).ok_or_else(|| {
+                Error::Data(format!(
+                    "{}, frame {frame}: no LiDAR scan in velodyne_points/data; choose another depth.source",
+                    drive.name
+                ))
+            })?;
+            let sparse = project_scan(&read_scan(path)?, &drive.calibration.camera2_from_velodyne, camera);
+            Ok(fill_gaps(&sparse, image, *fill_radius_px))
+        }
+        DepthConfig::Files { path } => read_depth_png(&files::depth_path(path, drive, frame, root)),
+        DepthConfig::Monodepth2(config) => DepthCache::of(config).load(drive, frame),
+    }
+}
