@@ -5,6 +5,7 @@
 //! resolve against the file that holds them (those of `--set` and the environment against the
 //! current folder). Unknown keys are errors.
 
+mod depth_training;
 mod load;
 mod overrides;
 mod training;
@@ -20,6 +21,7 @@ use crate::model::{ImagePair, InputBasis, PoseInput};
 use crate::network::Head;
 use crate::synthetic::SyntheticSettings;
 
+pub use depth_training::DepthTrainingConfig;
 pub use training::{Schedule, StopConfig, TrainingConfig, WatchedSplit};
 
 /// Environment variable that overrides `data.root`.
@@ -56,6 +58,9 @@ pub struct Config {
     /// How it is trained.
     #[serde(default)]
     pub training: TrainingConfig,
+    /// How `relcov train-depth` trains a depth network. Default: its defaults.
+    #[serde(default, skip_serializing_if = "DepthTrainingConfig::is_default")]
+    pub depth_training: DepthTrainingConfig,
 }
 
 /// Images and true poses.

@@ -10,6 +10,7 @@ mod progress;
 mod report;
 mod synth;
 mod train;
+mod train_depth;
 
 use std::io::IsTerminal;
 use std::process::ExitCode;
@@ -52,6 +53,8 @@ enum Command {
     Inspect(inspect::InspectArguments),
     /// Make the depth maps of an experiment by a network, or judge any depth against LiDAR
     Depth(depth::DepthArguments),
+    /// Train a depth network on images and the true motion between them
+    TrainDepth(train_depth::TrainDepthArguments),
     /// Compare results: tables, figures, one page
     Report(report::ReportArguments),
     /// Render a synthetic street world in the KITTI raw layout, with systems of known covariance
@@ -93,6 +96,7 @@ pub fn run() -> ExitCode {
         Command::Eval(arguments) => eval::run(arguments, &terminal),
         Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Depth(arguments) => depth::run(&arguments, &terminal),
+        Command::TrainDepth(arguments) => train_depth::run(&arguments, &terminal),
         Command::Report(arguments) => report::run(&arguments, &terminal),
         Command::Synth(arguments) => synth::run(&arguments, &terminal),
     };

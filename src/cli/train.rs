@@ -43,7 +43,7 @@ pub struct TrainArguments {
 pub fn run(arguments: TrainArguments, terminal: &Terminal) -> anyhow::Result<()> {
     let mut learner = prepare(&arguments, terminal)?;
     let training = Arc::new(AtomicBool::new(true));
-    interrupt_on_ctrl_c(&learner, training.clone())?;
+    interrupt_on_ctrl_c(learner.interrupt_flag(), training.clone())?;
     let outcome = learner.train(&mut observer(terminal.quiet));
     training.store(false, Ordering::Relaxed);
     let outcome = match outcome {
@@ -113,8 +113,7 @@ fn prepare(arguments: &TrainArguments, terminal: &Terminal) -> anyhow::Result<Le
 
 /// The first Ctrl-C (or SIGTERM, as job schedulers send it) saves; the second one, or one after
 /// training, stops at once.
-fn interrupt_on_ctrl_c(learner: &Learner, training: Arc<AtomicBool>) -> anyhow::Result<()> {
-    let flag = learner.interrupt_flag();
+pub fn interrupt_on_ctrl_c(flag: Arc<AtomicBool>, training: Arc<AtomicBool>) -> anyhow::Result<()> {
     ctrlc::set_handler(move || {
         if flag.swap(true, Ordering::Relaxed) || !training.load(Ordering::Relaxed) {
             std::process::exit(i32::from(super::INTERRUPTED));

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 
 use super::{
-    Config, DATA_ROOT_VARIABLE, DataConfig, DepthConfig, TrainingConfig, default_cache_mb, default_checkpoints,
+    Config, DATA_ROOT_VARIABLE, DataConfig, DepthConfig, DepthTrainingConfig, TrainingConfig, default_cache_mb,
+    default_checkpoints,
 };
 use super::{default_device, default_max_bad_fraction, overrides};
 use crate::error::{Error, Place, Result};
@@ -90,6 +91,7 @@ impl Config {
                 ..defaults
             },
             depth,
+            depth_training: DepthTrainingConfig::default(),
             ..self.clone()
         };
         sha256_hex(experiment.to_toml().as_bytes())

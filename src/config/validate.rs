@@ -1,7 +1,8 @@
 //! What a configuration must satisfy beyond its types.
 
-use super::{Config, DepthConfig, DriveConfig, MinLogVariance, NetworkDepthConfig};
-use crate::depth::ScaleRule;
+use super::{Config, DepthConfig, DepthTrainingConfig, DriveConfig, MinLogVariance, NetworkDepthConfig};
+use crate::depth::monodepth2::SIZE_STEP;
+use crate::depth::{DepthRange, ScaleRule};
 use crate::error::{Error, Result};
 use crate::files::is_plain;
 use crate::model::ImagePair;
@@ -18,7 +19,8 @@ impl Config {
         self.validate_systems()?;
         self.validate_depth()?;
         self.validate_model()?;
-        self.validate_training()
+        self.validate_training()?;
+        self.validate_depth_training()
     }
 
     fn validate_name(&self) -> Result<()> {
@@ -194,6 +196,33 @@ impl Config {
         let tolerance = training.stop.tolerance;
         require(tolerance.is_finite() && tolerance >= 0.0, "training.stop.tolerance", || {
             format!("{tolerance} is negative")
+        })
+    }
+}
+
+impl Config {
+    fn validate_depth_training(&self) -> Result<()> {
+        let DepthTrainingConfig { width, height, batch, epochs, learning_rate, range_m, initial_depth_m, .. } =
+            &self.depth_training;
+        for (key, size) in [("width", *width), ("height", *height)] {
+            let fits = size % SIZE_STEP == 0 && (2 * SIZE_STEP..=8192).contains(&size);
+            require(fits, &format!("depth_training.{key}"), || {
+                format!("{size} is no multiple of {SIZE_STEP} from {} to 8192", 2 * SIZE_STEP)
+            })?;
+        }
+        let per_epoch = self.depth_training.batches_per_epoch.unwrap_or(1);
+        for (key, value) in [("batch", *batch), ("epochs", *epochs), ("batches_per_epoch", per_epoch)] {
+            require(value > 0, &format!("depth_training.{key}"), || "must be at least 1".to_owned())?;
+        }
+        let rate = *learning_rate;
+        require(rate.is_finite() && rate > 0.0, "depth_training.learning_rate", || format!("{rate} is not positive"))?;
+        let DepthRange { min, max } = *range_m;
+        require(min > 0.0 && max.is_finite() && min < max, "depth_training.range_m", || {
+            format!("{min} to {max} m is no range of depths")
+        })?;
+        let start = *initial_depth_m;
+        require(start > min && start < max, "depth_training.initial_depth_m", || {
+            format!("{start} m is not inside depth_training.range_m, {min} to {max} m")
         })
     }
 }

@@ -31,6 +31,8 @@ pub struct LoadedBatch {
     pub pairs: Vec<usize>,
     /// Their numbers; `None` when every pair was left out.
     pub numbers: Option<PairNumbers>,
+    /// Whether no pair was left out.
+    pub complete: bool,
 }
 
 /// Batches that are read in the background, in the order they were asked for.
@@ -102,7 +104,8 @@ fn load(reader: &PairReader, pairs: &[Pair], request: &[Choice]) -> Result<Loade
         request.par_iter().map(|choice| read_choice(reader, pairs, choice)).collect::<Result<_>>()?;
     let (pairs, samples): (Vec<usize>, Vec<PairSample>) = read.into_iter().flatten().unzip();
     let numbers = (!samples.is_empty()).then(|| PairNumbers::new(&samples));
-    Ok(LoadedBatch { pairs, numbers })
+    let complete = pairs.len() == request.len();
+    Ok(LoadedBatch { pairs, numbers, complete })
 }
 
 fn read_choice(reader: &PairReader, pairs: &[Pair], choice: &Choice) -> Result<Option<(usize, PairSample)>> {

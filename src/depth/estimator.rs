@@ -56,6 +56,7 @@ impl DepthRange {
 /// ```
 pub struct DepthEstimator {
     network: Monodepth2,
+    weights: Weights,
     /// Input width, px.
     pub width: usize,
     /// Input height, px.
@@ -66,6 +67,15 @@ pub struct DepthEstimator {
     /// Name and SHA-256 of each file of weights.
     pub hashes: Vec<(String, String)>,
     device: Device,
+}
+
+/// Where weights come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Weights {
+    /// The authors of Monodepth2.
+    Published,
+    /// Training here: depths are metres.
+    Metric,
 }
 
 /// Beside weights that were trained here.
@@ -99,7 +109,16 @@ impl DepthEstimator {
         let PublishedWeights { network, width, height, stereo } = PublishedWeights::load(folder, &device)?;
         let default_scale = if stereo { ScaleRule::Fixed(STEREO_UNIT_M) } else { ScaleRule::Mean };
         let hashes = weight_hashes(folder)?;
-        Ok(Self { network, width, height, range: DepthRange::PUBLISHED, default_scale, hashes, device })
+        Ok(Self {
+            network,
+            weights: Weights::Published,
+            width,
+            height,
+            range: DepthRange::PUBLISHED,
+            default_scale,
+            hashes,
+            device,
+        })
     }
 
     fn load_metric(folder: &Path, device: Device) -> Result<Self> {
@@ -125,7 +144,16 @@ impl DepthEstimator {
             return Err(malformed(applied.to_string()));
         }
         let hashes = weight_hashes(folder)?;
-        Ok(Self { network, width, height, range: range_m, default_scale: ScaleRule::Fixed(1.0), hashes, device })
+        Ok(Self {
+            network,
+            weights: Weights::Metric,
+            width,
+            height,
+            range: range_m,
+            default_scale: ScaleRule::Fixed(1.0),
+            hashes,
+            device,
+        })
     }
 
     /// Keeps a network whose depths are metres, for [`DepthEstimator::load`].
@@ -147,7 +175,17 @@ impl DepthEstimator {
         write_atomically(&folder.join(METRIC_MANIFEST), json.as_bytes())
     }
 
-    /// An image as the network takes it: Lanczos, its size.
+    /// Removes what [`DepthEstimator::save_metric`] wrote into a folder.
+    ///
+    /// # Errors
+    /// A file cannot be removed.
+    pub fn remove_metric(folder: &Path) -> Result<()> {
+        let files = [METRIC_MANIFEST, METRIC_WEIGHTS].map(|file| folder.join(file));
+        let mut present = files.iter().filter(|path| path.exists());
+        present.try_for_each(|path| std::fs::remove_file(path).map_err(Error::io("remove", path)))
+    }
+
+    /// An image as the network was trained to take it: Lanczos for published weights, bilinear for those made here.
     ///
     /// # Errors
     /// The image's aspect is so different that the network would see another world.
@@ -159,7 +197,10 @@ impl DepthEstimator {
                 image.width, image.height, self.width, self.height
             )));
         }
-        Ok(image.resized_sharply(self.width, self.height))
+        Ok(match self.weights {
+            Weights::Published => image.resized_sharply(self.width, self.height),
+            Weights::Metric => image.resized(self.width, self.height),
+        })
     }
 
     /// Depth maps at the network's size, in its units: metres after [`DepthMap::scaled`].

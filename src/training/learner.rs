@@ -222,7 +222,7 @@ impl Learner {
         let mut losses: Vec<Tensor<1>> = Vec::new();
         let mut learned: Vec<usize> = Vec::new();
         for part in 0..size.div_ceil(self.config.training.micro_batch) {
-            let LoadedBatch { pairs, numbers } = loader.next_batch()?;
+            let LoadedBatch { pairs, numbers, .. } = loader.next_batch()?;
             let numbers = numbers.expect("training pairs are substituted, never left out");
             // Dropout is a function of seed, batch and part, so that a resumed run repeats it.
             self.device.seed(step_seed(seed, batch, part));

@@ -4,6 +4,7 @@
 //! with the best model. Tells its observer what happens by typed [`Event`]s and never prints.
 
 mod curves;
+pub mod depth;
 mod divergence;
 mod events;
 mod history;

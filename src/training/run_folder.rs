@@ -69,6 +69,11 @@ impl RunFolder {
             && (self.path.join(MANIFEST).exists() || self.path.join(MODEL).exists() || !self.states()?.is_empty()))
     }
 
+    /// A folder as it is, whatever it holds.
+    pub fn at(path: &Path) -> Self {
+        Self { path: path.to_owned() }
+    }
+
     /// Starts a run in a folder that holds none, or replaces the one it holds.
     ///
     /// # Errors

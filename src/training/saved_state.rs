@@ -34,21 +34,39 @@ impl RunFolder {
     ) -> Result<()> {
         // Mini-batches and finished epochs say all there is to know: a state of that name is this one.
         let name = format!("{STATE_PREFIX}{:09}-{:05}", history.batches, history.rows.len());
-        let folder = self.path().join(&name);
+        self.keep_state(&name, |folder| {
+            write_records(folder, model, optimiser)?;
+            let json = serde_json::to_string_pretty(history).expect("a history is JSON");
+            write_atomically(&folder.join(STATE_HISTORY), json.as_bytes())
+        })?;
+        write_atomically(&self.path().join(METRICS), history.to_csv(systems).as_bytes())?;
+        match loss_curves(history, systems) {
+            Some(svg) => write_atomically(&self.path().join(LOSSES), svg.as_bytes()),
+            None => Ok(()),
+        }
+    }
+
+    /// Keeps a state under a name that sorts after those of earlier ones, which are then removed. It is whole before
+    /// it bears its name.
+    ///
+    /// # Errors
+    /// It cannot be written; the previous state stays.
+    pub(super) fn keep_state(&self, name: &str, write: impl FnOnce(&Path) -> Result<()>) -> Result<()> {
+        let folder = self.path().join(name);
         if !folder.exists() {
-            let temporary = self.temporary(&name);
-            let written = self.write_state(&temporary, model, optimiser, history);
+            let temporary = self.temporary(name);
+            if temporary.exists() {
+                std::fs::remove_dir_all(&temporary).map_err(Error::io("remove", &temporary))?;
+            }
+            let written = std::fs::create_dir(&temporary).map_err(Error::io("create the folder", &temporary));
             let written = written
+                .and_then(|()| write(&temporary))
                 .and_then(|()| std::fs::rename(&temporary, &folder).map_err(Error::io("rename into place", &folder)));
             if let Err(error) = written {
                 let _ = std::fs::remove_dir_all(&temporary);
                 return Err(error);
             }
             tracing::debug!("saved {}", folder.display());
-        }
-        write_atomically(&self.path().join(METRICS), history.to_csv(systems).as_bytes())?;
-        if let Some(svg) = loss_curves(history, systems) {
-            write_atomically(&self.path().join(LOSSES), svg.as_bytes())?;
         }
         let old = self.states()?.into_iter().filter(|state| state != &folder);
         for old in old.chain(self.partial_states()?) {
@@ -73,62 +91,14 @@ impl RunFolder {
                 "holds no saved state; start anew with `relcov train --config … --force`",
             ));
         };
-        let damaged = |file: &str, error: &dyn std::fmt::Display| {
-            Error::malformed(
-                folder.join(file),
-                Place::Whole,
-                first_line(&error.to_string()),
-                "a state saved by this version of relcov",
-            )
-        };
         let path = folder.join(STATE_HISTORY);
         let history: History =
-            serde_json::from_str(&read_text(&path)?).map_err(|error| damaged(STATE_HISTORY, &error))?;
+            serde_json::from_str(&read_text(&path)?).map_err(|error| damaged(&folder, STATE_HISTORY, &error))?;
         if history.sums.len() != systems || history.rows.iter().any(|row| row.training_loss.len() != systems) {
-            return Err(damaged(STATE_HISTORY, &"losses of another number of systems"));
+            return Err(damaged(&folder, STATE_HISTORY, &"losses of another number of systems"));
         }
-        let record = ModuleRecord::load(folder.join(STATE_MODEL)).map_err(|error| damaged(STATE_MODEL, &error))?;
-        let weights = record.len();
-        let model = model.try_load_record(record).map_err(|error| damaged(STATE_MODEL, &error))?;
-        let record =
-            OptimizerRecord::load(folder.join(STATE_OPTIMISER)).map_err(|error| damaged(STATE_OPTIMISER, &error))?;
-        // Before its first step Adam keeps nothing.
-        let expected = if history.batches == 0 { 0 } else { ADAM_MOMENTS * weights };
-        if record.len() != expected {
-            let found = format!("{} tensors for {weights} weights", record.len());
-            return Err(damaged(STATE_OPTIMISER, &found));
-        }
-        Ok((model, optimiser.load_record(record), history))
-    }
-
-    fn write_state(
-        &self,
-        folder: &Path,
-        model: &CovarianceModel,
-        optimiser: &ModuleOptimizer,
-        history: &History,
-    ) -> Result<()> {
-        if folder.exists() {
-            std::fs::remove_dir_all(folder).map_err(Error::io("remove", folder))?;
-        }
-        std::fs::create_dir(folder).map_err(Error::io("create the folder", folder))?;
-        let failed = |file: &str| {
-            let path = folder.join(file);
-            move |error: burn::store::RecordError| Error::Io {
-                action: "write",
-                path,
-                reason: std::io::Error::other(error.to_string()),
-            }
-        };
-        model.clone().into_record().save(folder.join(STATE_MODEL)).map_err(failed(STATE_MODEL))?;
-        optimiser.to_record().save(folder.join(STATE_OPTIMISER)).map_err(failed(STATE_OPTIMISER))?;
-        for file in [STATE_MODEL, STATE_OPTIMISER] {
-            let path = folder.join(file);
-            let written = std::fs::File::open(&path).and_then(|file| file.sync_all());
-            written.map_err(Error::io("write", &path))?;
-        }
-        let json = serde_json::to_string_pretty(history).expect("a history is JSON");
-        write_atomically(&folder.join(STATE_HISTORY), json.as_bytes())
+        let (model, optimiser) = read_records(&folder, model, optimiser, history.batches)?;
+        Ok((model, optimiser, history))
     }
 
     /// State folders, oldest first.
@@ -154,4 +124,50 @@ impl RunFolder {
         folders.sort();
         Ok(folders)
     }
+}
+
+/// Weights and Adam's moments, on the disk when this returns.
+pub(super) fn write_records<M: Module>(folder: &Path, model: &M, optimiser: &ModuleOptimizer) -> Result<()> {
+    let failed = |file: &str| {
+        let path = folder.join(file);
+        move |error: burn::store::RecordError| Error::Io {
+            action: "write",
+            path,
+            reason: std::io::Error::other(error.to_string()),
+        }
+    };
+    model.clone().into_record().save(folder.join(STATE_MODEL)).map_err(failed(STATE_MODEL))?;
+    optimiser.to_record().save(folder.join(STATE_OPTIMISER)).map_err(failed(STATE_OPTIMISER))?;
+    for file in [STATE_MODEL, STATE_OPTIMISER] {
+        let path = folder.join(file);
+        let written = std::fs::File::open(&path).and_then(|file| file.sync_all());
+        written.map_err(Error::io("write", &path))?;
+    }
+    Ok(())
+}
+
+/// What [`write_records`] wrote after `steps` of the optimiser.
+pub(super) fn read_records<M: Module>(
+    folder: &Path,
+    model: M,
+    optimiser: ModuleOptimizer,
+    steps: usize,
+) -> Result<(M, ModuleOptimizer)> {
+    let record = ModuleRecord::load(folder.join(STATE_MODEL)).map_err(|error| damaged(folder, STATE_MODEL, &error))?;
+    let weights = record.len();
+    let model = model.try_load_record(record).map_err(|error| damaged(folder, STATE_MODEL, &error))?;
+    let record = OptimizerRecord::load(folder.join(STATE_OPTIMISER))
+        .map_err(|error| damaged(folder, STATE_OPTIMISER, &error))?;
+    // Before its first step Adam keeps nothing.
+    let expected = if steps == 0 { 0 } else { ADAM_MOMENTS * weights };
+    if record.len() != expected {
+        let found = format!("{} tensors for {weights} weights", record.len());
+        return Err(damaged(folder, STATE_OPTIMISER, &found));
+    }
+    Ok((model, optimiser.load_record(record)))
+}
+
+pub(super) fn damaged(folder: &Path, file: &str, error: &dyn std::fmt::Display) -> Error {
+    let found = first_line(&error.to_string());
+    Error::malformed(folder.join(file), Place::Whole, found, "a state saved by this version of relcov")
 }

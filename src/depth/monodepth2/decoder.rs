@@ -1,6 +1,7 @@
 //! The U-Net decoder: five stages that double the size and take in the encoder's features of that size.
 
 use burn::module::{Module, Param};
+use burn::nn::Initializer;
 use burn::nn::conv::Conv2d;
 use burn::tensor::activation::{elu, sigmoid};
 use burn::tensor::ops::{InterpolateMode, InterpolateOptions, PadMode};
@@ -13,6 +14,8 @@ use crate::kernels::conv2d;
 const CHANNELS: [usize; 5] = [16, 32, 64, 128, 256];
 /// Sizes at which a disparity is put out.
 const SCALES: usize = 4;
+/// Spread of the heads' first weights, beside √2 of other layers.
+const HEAD_GAIN: f64 = 0.1;
 
 #[derive(Module, Debug)]
 pub(super) struct DepthDecoder {
@@ -42,10 +45,10 @@ impl DepthDecoder {
         let stages = (0..CHANNELS.len()).rev().map(stage).collect();
         let bias = (disparity / (1.0 - disparity)).ln();
         let head = |scale: usize| {
-            let mut head: Conv2d = convolution_config(CHANNELS[scale], 1, 3, 1).init(device);
             // Small, so that the first disparities are near the one asked for.
-            head.weight = head.weight.map(|weight| weight * 0.1);
-            head.bias = Some(Param::from_tensor(Tensor::full([1], bias, device)));
+            let small = Initializer::KaimingUniform { gain: HEAD_GAIN, fan_out_only: false };
+            let mut head: Conv2d = convolution_config(CHANNELS[scale], 1, 3, 1).with_initializer(small).init(device);
+            head.bias = Some(Param::from_tensor(Tensor::full([1], bias, device)).set_require_grad(true));
             head
         };
         Self { stages, heads: (0..SCALES).map(head).collect() }

@@ -1,7 +1,6 @@
 //! ResNet-18 without its classifier (He, Zhang, Ren, Sun, "Deep residual learning for image recognition", 2016).
 
 use burn::module::{Module, Param};
-use burn::nn::Initializer;
 use burn::nn::PaddingConfig2d;
 use burn::nn::conv::Conv2d;
 use burn::nn::pool::{MaxPool2d, MaxPool2dConfig};
@@ -69,7 +68,7 @@ impl BasicBlock {
         let mut conv2 = convolution(outputs, outputs, 3, 1, device);
         // Without batch norms, a block that begins as its shortcut keeps a deep network stable (Zhang, Dauphin, Ma,
         // "Fixup initialization", 2019).
-        conv2.weight = Param::from_tensor(Initializer::Zeros.init(conv2.weight.dims(), device).val());
+        conv2.weight = Param::from_tensor(Tensor::zeros(conv2.weight.dims(), device)).set_require_grad(true);
         let changes = stride != 1 || inputs != outputs;
         Self {
             conv1: convolution(inputs, outputs, 3, stride, device),
