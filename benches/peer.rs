@@ -1,6 +1,6 @@
 //! One measurement for `data_scripts/bench_peer.py`, which runs the same one in PyTorch beside it.
 //!
-//! `cargo bench --bench peer -- train|forward|warp HEIGHT WIDTH BATCH RUNS` prints one line of JSON:
+//! `cargo bench --bench peer -- train|forward|warp|depth HEIGHT WIDTH BATCH RUNS` prints one line of JSON:
 //! median and least time in milliseconds, peak memory in MB, and memory before the network was built. `RAYON_NUM_THREADS` sets the threads,
 //! `RELCOV_INSTRUCTIONS=burn` takes Burn's own operations in place of relcov's kernels, and
 //! `RELCOV_BENCH_DEVICE` names another device than flex.
@@ -9,6 +9,7 @@ use std::time::Instant;
 
 use burn::optim::{GradientsParams, ModuleOptimizer};
 use burn::tensor::{Device, Distribution, Tensor, TensorData};
+use relcov::depth::monodepth2::Monodepth2;
 use relcov::device::open_device;
 use relcov::kernels::Adam;
 use relcov::network::{CovarianceNetworkConfig, Head};
@@ -23,7 +24,9 @@ fn main() {
     // Cargo adds `--bench`.
     let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| argument != "--bench").collect();
     let [mode, numbers @ ..] = &arguments[..] else {
-        eprintln!("peer: run by data_scripts/bench_peer.py, or with `-- train|forward|warp HEIGHT WIDTH BATCH RUNS`");
+        eprintln!(
+            "peer: run by data_scripts/bench_peer.py, or with `-- train|forward|warp|depth HEIGHT WIDTH BATCH RUNS`"
+        );
         return;
     };
     let numbers: Vec<usize> = numbers.iter().map(|number| number.parse().expect("a number")).collect();
@@ -35,6 +38,7 @@ fn main() {
         "train" => train([batch, height, width], runs, &device),
         "forward" => forward([batch, height, width], runs, &device),
         "warp" => warp([batch, height, width], runs, &device),
+        "depth" => depth([batch, height, width], runs, &device),
         mode => panic!("unknown measurement `{mode}`"),
     };
     let middle = times.len() / 2;
@@ -103,6 +107,13 @@ fn warp([batch, height, width]: [usize; 3], runs: usize, device: &Device) -> Vec
         std::hint::black_box(warped);
         device.sync().expect("a device that works");
     })
+}
+
+/// The depth network's finest disparity, as `relcov depth` runs it.
+fn depth([batch, height, width]: [usize; 3], runs: usize, device: &Device) -> Vec<f64> {
+    let network = Monodepth2::init(0.1, device);
+    let images = Tensor::<4>::random([batch, 3, height, width], Distribution::Default, device);
+    times(runs, || drop(std::hint::black_box(network.disparity(images.clone()).into_data())))
 }
 
 /// A line of this process's memory statistics, MB; 0 where the system keeps none.

@@ -42,6 +42,10 @@ CASES = [
     ("forward", 192, 640, 1, 20, 0.85),
     ("forward", 320, 1024, 1, 10, 0.85),
     ("warp", 160, 512, 8, 40, 0.50),
+    ("depth", 192, 640, 1, 10, 1.00),
+    ("depth", 192, 640, 4, 4, 1.00),
+    ("depth", 320, 1024, 1, 5, 1.00),
+    ("depth", 320, 1024, 4, 3, 1.00),
 ]
 # Mode, height, width, batch, runs, threads; None: all of them.
 SCALING = [
@@ -91,6 +95,21 @@ def torch_warp(torch, image, depth, intrinsics, pose):
     return sampled * valid[:, None]
 
 
+def torch_depth_network(torch):
+    """Monodepth2 in evaluation mode, its finest disparity alone, as in src/depth/monodepth2."""
+    from monodepth2_reference import Decoder, Encoder
+
+    class Disparity(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.encoder, self.decoder = Encoder(), Decoder()
+
+        def forward(self, images):
+            return self.decoder(self.encoder(images), scales=[0])[0]
+
+    return Disparity().eval()
+
+
 def torch_measurement(mode, height, width, batch, runs, layout, adam, device, precision):
     import torch
 
@@ -114,11 +133,11 @@ def torch_measurement(mode, height, width, batch, runs, layout, adam, device, pr
             with torch.inference_mode():
                 torch_warp(torch, image, depth, intrinsics, pose)
     else:
-        network = torch_network(torch, height, width).to(device)
-        images = torch.randn(batch, 6, height, width, device=device)
+        network = (torch_depth_network(torch) if mode == "depth" else torch_network(torch, height, width)).to(device)
+        images = torch.rand(batch, 3 if mode == "depth" else 6, height, width, device=device)
         if layout == "channels_last":
             network, images = network.to(memory_format=torch.channels_last), images.to(memory_format=torch.channels_last)
-        if mode == "forward":
+        if mode in ("forward", "depth"):
             network.eval()
 
             def run():
@@ -246,7 +265,7 @@ def ms(value):
 
 
 def kind(mode):
-    return {"train": "train step", "forward": "forward", "warp": "warp"}[mode]
+    return {"train": "train step", "forward": "forward", "warp": "warp", "depth": "depth"}[mode]
 
 
 def row(cells):

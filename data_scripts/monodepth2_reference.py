@@ -106,14 +106,14 @@ class Decoder(nn.Module):
         heads = [Conv3x3(DECODER_CHANNELS[scale], 1) for scale in range(4)]
         self.decoder = nn.ModuleList(blocks + heads)
 
-    def forward(self, features):
+    def forward(self, features, scales=range(4)):
         x, disparities = features[4], {}
         for step, level in enumerate((4, 3, 2, 1, 0)):
             x = functional.interpolate(self.decoder[2 * step](x), scale_factor=2, mode="nearest")
             if level:
                 x = torch.cat([x, features[level - 1]], 1)
             x = self.decoder[2 * step + 1](x)
-            if level < 4:
+            if level in scales:
                 disparities[level] = torch.sigmoid(self.decoder[10 + level](x))
         return disparities
 

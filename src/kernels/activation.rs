@@ -91,7 +91,7 @@ impl Kernel for ReluDropout<'_> {
 
 /// `max(x, 0)` that keeps NaN, so that a broken step is seen.
 #[inline(always)]
-fn relu(value: f32) -> f32 {
+pub(super) fn relu(value: f32) -> f32 {
     if value <= 0.0 { 0.0 } else { value }
 }
 

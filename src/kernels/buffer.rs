@@ -44,17 +44,20 @@ impl Shared<'_> {
         }
     }
 
-    /// Writes values plus a constant from `start` on.
+    /// Writes values plus a constant from `start` on, and hands out what was written.
     ///
     /// # Safety
-    /// Nobody else touches these places.
+    /// Nobody else touches these places while they are in use.
     #[inline(always)]
-    pub unsafe fn write_sum(&self, start: usize, values: &[f32], constant: f32) {
+    #[allow(clippy::mut_from_ref, reason = "that is what sharing by disjoint parts means")]
+    pub unsafe fn written_sum(&self, start: usize, values: &[f32], constant: f32) -> &mut [f32] {
         let stretch = self.stretch(start, values.len());
         for (index, value) in values.iter().enumerate() {
             // SAFETY: `stretch` checked as many places as there are values; the caller has them alone.
             unsafe { stretch.add(index).write(value + constant) };
         }
+        // SAFETY: just written, and the caller's alone.
+        unsafe { std::slice::from_raw_parts_mut(stretch, values.len()) }
     }
 
     /// Writes values `step` apart, from `start` on.

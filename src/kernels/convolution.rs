@@ -6,8 +6,9 @@
 use rayon::prelude::*;
 
 use super::buffer::{Shared, filled};
+use super::fused::{Activation, Border, FusedConvolution, Part};
 use super::instructions::Instructions;
-use super::layouts::{ChannelsLast, PaddedGradient, Phases, Residues, offset};
+use super::layouts::{ChannelsLast, PaddedGradient, Residues, offset};
 use super::product::{Left, Right, Tile, parts, product};
 
 /// Channels that lie side by side in the columns of the weight gradient.
@@ -66,7 +67,7 @@ impl ConvolutionShape {
         self.outputs * self.inputs * self.taps()
     }
 
-    fn check(&self, input: Option<&[f32]>, weight: Option<&[f32]>, output: Option<&[f32]>) {
+    pub(super) fn check(&self, input: Option<&[f32]>, weight: Option<&[f32]>, output: Option<&[f32]>) {
         let sizes = [self.batch, self.inputs, self.outputs].into_iter().chain(self.size).chain(self.kernel);
         assert!(sizes.chain(self.stride).all(|size| size > 0), "convolution: nothing to do ({self:?})");
         assert!(
@@ -94,31 +95,9 @@ pub(super) fn convolution(
     bias: Option<&[f32]>,
 ) -> Vec<f32> {
     shape.check(Some(input), Some(weight), None);
-    assert!(bias.is_none_or(|bias| bias.len() == shape.outputs), "convolution: one bias for each output channel");
-    let [rows, columns] = shape.output_size();
-    let plane = rows * columns;
-    let phases = Phases::of(input, &shape);
-    let terms = shape.inputs * shape.taps();
-    let weights: Vec<u32> = (0..terms).map(offset).collect();
-    let left = Left::new(weight, shape.outputs, terms, &weights);
-    let stretches = (0..shape.batch * rows).map(|row| (phases.row(row / rows, row % rows), columns));
-    let right = Right::new(&phases.values, &phases.offsets, stretches);
-    let fill = |output: Shared| {
-        product(instructions, left, &right, 1, |tile| {
-            for channel in tile.rows.clone() {
-                let bias = bias.map_or(0.0, |bias| bias[channel]);
-                for (column, len) in pieces(&tile, plane) {
-                    let (image, pixel) = (column / plane, column % plane);
-                    let values = &tile.row(channel)[column - tile.columns.start..][..len];
-                    let start = (image * shape.outputs + channel) * plane + pixel;
-                    // SAFETY: channel and pixels belong to this tile alone.
-                    unsafe { output.write_sum(start, values, bias) };
-                }
-            }
-        });
-    };
-    // SAFETY: the tiles cover every output channel and, in their columns, every pixel of every image.
-    unsafe { filled(shape.output_len(), fill) }
+    let parts = &[Part { values: input, channels: shape.inputs, doubled: false }];
+    let (border, activation) = (Border::Zeros, Activation::None);
+    FusedConvolution { shape, parts, border, weight, bias, shortcut: None, activation }.run(instructions)
 }
 
 /// Gradient of [`convolution`] with respect to its input.
@@ -268,7 +247,7 @@ fn sum_parts(values: &mut Vec<f32>, parts: usize) {
 }
 
 /// Columns of a tile, cut where a new image or row of `len` begins: first column and length of each.
-fn pieces(tile: &Tile, len: usize) -> impl Iterator<Item = (usize, usize)> {
+pub(super) fn pieces(tile: &Tile, len: usize) -> impl Iterator<Item = (usize, usize)> {
     let end = tile.columns.end;
     let mut column = tile.columns.start;
     std::iter::from_fn(move || {
@@ -282,14 +261,8 @@ fn pieces(tile: &Tile, len: usize) -> impl Iterator<Item = (usize, usize)> {
 mod tests {
     use proptest::prelude::*;
 
-    use super::super::reference::reference;
+    use super::super::reference::{noise, reference};
     use super::*;
-
-    /// Values in −0.5…0.5 that differ from place to place.
-    fn noise(len: usize, seed: u32) -> Vec<f32> {
-        let value = |index: u32| index.wrapping_add(seed).wrapping_mul(0x9E37_79B9);
-        (0..len as u32).map(|index| (value(value(index)) >> 8) as f32 / 16_777_216.0 - 0.5).collect()
-    }
 
     fn assert_close(name: &str, found: &[f32], expected: &[[f64; 2]]) {
         assert_eq!(found.len(), expected.len(), "{name}");

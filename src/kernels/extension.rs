@@ -13,6 +13,7 @@ use super::activation::{self, DropoutRate};
 use super::adam::{AdamFactors, adam};
 use super::convolution::{self, ConvolutionShape};
 use super::dense::vector_matrix;
+use super::fused::{Activation, Border, FusedConvolution, Part};
 use super::instructions::Instructions;
 use super::warp::{Validity, WarpInput, warp};
 
@@ -46,6 +47,16 @@ pub(super) trait Operations: Backend {
     /// `[1, rows]` times `[rows, columns]`.
     fn vector_matrix(input: FloatTensor<Self>, weight: FloatTensor<Self>) -> FloatTensor<Self>;
 
+    /// A convolution and what surrounds it; `skip` and `shortcut` are looked at where the plan says so.
+    fn fused_convolution(
+        input: FloatTensor<Self>,
+        skip: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        bias: FloatTensor<Self>,
+        shortcut: FloatTensor<Self>,
+        plan: FusedPlan,
+    ) -> FloatTensor<Self>;
+
     /// The warped image and its mask.
     fn warp(
         source_image: FloatTensor<Self>,
@@ -54,6 +65,19 @@ pub(super) trait Operations: Backend {
         source_from_target: FloatTensor<Self>,
         validity: Validity,
     ) -> WarpedImage<Self>;
+}
+
+/// How a [`FusedConvolution`] is put together.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct FusedPlan {
+    pub shape: ConvolutionShape,
+    /// Whether the input is doubled in size first.
+    pub doubled: bool,
+    /// Channels of `skip`, behind those of the input.
+    pub skip_channels: usize,
+    pub border: Border,
+    pub shortcut: bool,
+    pub activation: Activation,
 }
 
 /// Weight and moments after a step of Adam.
@@ -132,6 +156,28 @@ impl Operations for Flex {
         let columns = weight.shape()[1];
         let output = vector_matrix(Instructions::current(), values(&input), values(&weight), columns);
         tensor(output, [1, columns])
+    }
+
+    fn fused_convolution(
+        input: FlexTensor,
+        skip: FlexTensor,
+        weight: FlexTensor,
+        bias: FlexTensor,
+        shortcut: FlexTensor,
+        plan: FusedPlan,
+    ) -> FlexTensor {
+        let tensors = [input, skip, weight, bias, shortcut].map(contiguous);
+        let [input, skip, weight, bias, shortcut] = [0, 1, 2, 3, 4].map(|index| values(&tensors[index]));
+        let FusedPlan { shape, doubled, skip_channels, border, activation, .. } = plan;
+        let parts = [
+            Part { values: input, channels: shape.inputs - skip_channels, doubled },
+            Part { values: skip, channels: skip_channels, doubled: false },
+        ];
+        let parts = if skip_channels > 0 { &parts[..] } else { &parts[..1] };
+        let (bias, shortcut) = (Some(bias), plan.shortcut.then_some(shortcut));
+        let convolution = FusedConvolution { shape, parts, border, weight, bias, shortcut, activation };
+        let [rows, columns] = shape.output_size();
+        tensor(convolution.run(Instructions::current()), [shape.batch, shape.outputs, rows, columns])
     }
 
     fn warp(

@@ -4,6 +4,7 @@ use rayon::prelude::*;
 
 use super::buffer::{Shared, filled};
 use super::convolution::ConvolutionShape;
+use super::fused::{Border, Part};
 use super::product::SLACK;
 
 /// A place in an operand. Tables of places hold 32-bit numbers, half the memory of 64-bit ones.
@@ -22,8 +23,10 @@ pub(super) struct Phases {
 }
 
 impl Phases {
-    pub fn of(input: &[f32], shape: &ConvolutionShape) -> Self {
+    /// Lays the parts of an input out, one behind the other.
+    pub fn of(parts: &[Part], shape: &ConvolutionShape, border: Border) -> Self {
         let [stride_v, stride_u] = shape.stride;
+        check_parts(parts, shape, border);
         let [rows, columns] = {
             let output = shape.output_size();
             [0, 1].map(|axis| output[axis] + (shape.kernel[axis] - 1) / shape.stride[axis])
@@ -36,16 +39,20 @@ impl Phases {
         let fill = |values: Shared| {
             // SAFETY: the slack belongs to no channel.
             unsafe { values.zeroed(len, SLACK) };
-            input.par_chunks(shape.input_plane()).enumerate().for_each(|(index, pixels)| {
+            (0..shape.batch * shape.inputs).into_par_iter().for_each(|index| {
+                let plane = ChannelPlane::of(parts, shape, index);
                 for line in 0..channel / columns {
                     // SAFETY: each channel of each image is one task's.
                     let row = unsafe { values.zeroed(index * channel + line * columns, columns) };
                     let (phase, row_index) = (line / rows, line % rows);
                     let (phase_v, phase_u) = (phase / phases[1], phase % phases[1]);
-                    let v = (row_index * stride_v + phase_v).checked_sub(shape.padding[0]);
-                    if let Some(v) = v.filter(|&v| v < shape.size[0]) {
-                        let pixels = &pixels[v * shape.size[1]..][..shape.size[1]];
-                        copy_phase(pixels, shape.padding[1], phase_u, stride_u, row);
+                    let Some(v) = border.inside(row_index * stride_v + phase_v, shape.padding[0], shape.size[0]) else {
+                        continue;
+                    };
+                    if plane.doubled || border == Border::Mirror {
+                        plane.copy_row(v, shape.padding[1], border, row);
+                    } else {
+                        copy_phase(plane.row(v), shape.padding[1], phase_u, stride_u, row);
                     }
                 }
             });
@@ -65,6 +72,85 @@ impl Phases {
     /// Place of the first output of a row.
     pub fn row(&self, image: usize, row: usize) -> usize {
         image * self.image + row * self.columns
+    }
+}
+
+fn check_parts(parts: &[Part], shape: &ConvolutionShape, border: Border) {
+    assert_eq!(
+        parts.iter().map(|part| part.channels).sum::<usize>(),
+        shape.inputs,
+        "convolution: channels of all parts"
+    );
+    for part in parts {
+        let fraction = if part.doubled { 4 } else { 1 };
+        let len = shape.batch * part.channels * shape.input_plane() / fraction;
+        assert_eq!(part.values.len(), len, "convolution: a part of the input of {shape:?}");
+    }
+    let doubled = parts.iter().any(|part| part.doubled);
+    assert!(!doubled || shape.size.iter().all(|size| size % 2 == 0), "convolution: a doubled image has an even size");
+    let plain = !doubled && border == Border::Zeros;
+    assert!(plain || shape.stride == [1, 1], "convolution: doubled and mirrored images go with stride 1");
+    let mirrored = (0..2).all(|axis| shape.padding[axis] < shape.size[axis]);
+    assert!(border == Border::Zeros || mirrored, "convolution: a mirror image no larger than the image");
+}
+
+impl Border {
+    /// The row of the image that a row of the padded image shows.
+    fn inside(self, padded: usize, padding: usize, size: usize) -> Option<usize> {
+        match self {
+            Self::Zeros => padded.checked_sub(padding).filter(|&row| row < size),
+            Self::Mirror if padded < padding => Some(padding - padded),
+            Self::Mirror => {
+                let row = padded - padding;
+                Some(if row < size { row } else { 2 * (size - 1) - row })
+            }
+        }
+    }
+}
+
+/// One channel of one image.
+struct ChannelPlane<'a> {
+    pixels: &'a [f32],
+    columns: usize,
+    doubled: bool,
+}
+
+impl<'a> ChannelPlane<'a> {
+    fn of(parts: &[Part<'a>], shape: &ConvolutionShape, index: usize) -> Self {
+        let (image, mut channel) = (index / shape.inputs, index % shape.inputs);
+        let mut parts = parts.iter();
+        let part = parts.by_ref().find(|part| {
+            let here = channel < part.channels;
+            channel -= if here { 0 } else { part.channels };
+            here
+        });
+        let Part { values, channels, doubled } = *part.expect("checked: the parts have all channels");
+        let columns = if doubled { shape.size[1] / 2 } else { shape.size[1] };
+        let plane = if doubled { shape.input_plane() / 4 } else { shape.input_plane() };
+        Self { pixels: &values[(image * channels + channel) * plane..][..plane], columns, doubled }
+    }
+
+    fn row(&self, v: usize) -> &'a [f32] {
+        &self.pixels[v * self.columns..][..self.columns]
+    }
+
+    /// A row at full size with its border, stride 1.
+    fn copy_row(&self, v: usize, padding: usize, border: Border, row: &mut [f32]) {
+        let pixels = self.row(if self.doubled { v / 2 } else { v });
+        let width = if self.doubled { 2 * self.columns } else { self.columns };
+        let inner = &mut row[padding..padding + width];
+        if self.doubled {
+            let (pairs, _) = inner.as_chunks_mut::<2>();
+            pairs.iter_mut().zip(pixels).for_each(|(pair, &pixel)| *pair = [pixel; 2]);
+        } else {
+            inner.copy_from_slice(pixels);
+        }
+        if border == Border::Mirror {
+            for distance in 1..=padding {
+                row[padding - distance] = row[padding + distance];
+                row[padding + width - 1 + distance] = row[padding + width - 1 - distance];
+            }
+        }
     }
 }
 

@@ -13,6 +13,7 @@
 
 mod activation;
 mod adam;
+mod block;
 mod buffer;
 mod convolution;
 mod dense;
@@ -20,6 +21,7 @@ mod dense;
 mod extension;
 #[cfg(feature = "flex")]
 mod flex;
+mod fused;
 mod instructions;
 mod layouts;
 mod optimiser;
@@ -33,6 +35,8 @@ use burn::nn::{Dropout, Linear};
 use burn::tensor::Tensor;
 use burn::tensor::activation::relu;
 
+pub(crate) use block::Block;
+pub(crate) use fused::{Activation, Border};
 pub(crate) use instructions::Instructions;
 pub use optimiser::Adam;
 pub(crate) use warp::Validity;

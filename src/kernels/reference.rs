@@ -42,3 +42,9 @@ pub(super) fn reference(shape: ConvolutionShape, input: &[f32], weight: &[f32], 
     }
     result
 }
+
+/// Values in −0.5…0.5 that differ from place to place.
+pub(super) fn noise(len: usize, seed: u32) -> Vec<f32> {
+    let value = |index: u32| index.wrapping_add(seed).wrapping_mul(0x9E37_79B9);
+    (0..len as u32).map(|index| (value(value(index)) >> 8) as f32 / 16_777_216.0 - 0.5).collect()
+}

@@ -3,12 +3,11 @@
 use burn::module::{Module, Param};
 use burn::nn::Initializer;
 use burn::nn::conv::Conv2d;
-use burn::tensor::activation::{elu, sigmoid};
-use burn::tensor::ops::{InterpolateMode, InterpolateOptions, PadMode};
+use burn::tensor::activation::sigmoid;
 use burn::tensor::{Device, Tensor};
 
 use super::{convolution_config, encoder};
-use crate::kernels::conv2d;
+use crate::kernels::{Activation, Block, Border};
 
 /// Channels at full, half … 1/16 size.
 const CHANNELS: [usize; 5] = [16, 32, 64, 128, 256];
@@ -81,29 +80,14 @@ impl DepthDecoder {
     }
 
     fn head(&self, scale: usize, activation: Tensor<4>) -> Tensor<4> {
-        sigmoid(reflected(&self.heads[scale], activation))
+        sigmoid(Block { border: Border::Mirror, ..Block::of(&self.heads[scale]) }.forward(activation))
     }
 }
 
 impl Stage {
     fn forward(&self, input: Tensor<4>, skip: Option<Tensor<4>>) -> Tensor<4> {
-        let doubled = doubled(elu(reflected(&self.before, input), 1.0));
-        let joined = match skip {
-            Some(skip) => Tensor::cat(vec![doubled, skip], 1),
-            None => doubled,
-        };
-        elu(reflected(&self.after, joined), 1.0)
+        let (border, activation) = (Border::Mirror, Activation::Elu);
+        let before = Block { border, activation, ..Block::of(&self.before) }.forward(input);
+        Block { doubled: true, skip, border, activation, ..Block::of(&self.after) }.forward(before)
     }
-}
-
-/// A 3x3 convolution of the image continued by its mirror image.
-fn reflected(layer: &Conv2d, input: Tensor<4>) -> Tensor<4> {
-    conv2d(layer, input.pad([(1, 1), (1, 1)], PadMode::Reflect))
-}
-
-/// Each pixel four times.
-fn doubled(image: Tensor<4>) -> Tensor<4> {
-    let [_, _, height, width] = image.dims();
-    let options = InterpolateOptions::new(InterpolateMode::Nearest);
-    burn::tensor::module::interpolate(image, options.with_output_size([2 * height, 2 * width]))
 }

@@ -4,11 +4,10 @@ use burn::module::{Module, Param};
 use burn::nn::PaddingConfig2d;
 use burn::nn::conv::Conv2d;
 use burn::nn::pool::{MaxPool2d, MaxPool2dConfig};
-use burn::tensor::activation::relu;
 use burn::tensor::{Device, Tensor};
 
 use super::convolution;
-use crate::kernels::conv2d;
+use crate::kernels::{Activation, Block, conv2d};
 
 /// Channels of the five feature maps.
 pub(super) const CHANNELS: [usize; 5] = [64, 64, 128, 256, 512];
@@ -51,7 +50,7 @@ impl ResNet18 {
 
     /// Features at 1/2, 1/4, 1/8, 1/16 and 1/32 of the image's size.
     pub fn forward(&self, images: Tensor<4>) -> [Tensor<4>; 5] {
-        let first = relu(conv2d(&self.conv1, (images - PIXEL_MEAN) / PIXEL_SPREAD));
+        let first = with_relu(&self.conv1).forward((images - PIXEL_MEAN) / PIXEL_SPREAD);
         let mut features = self.max_pool.forward(first.clone());
         let mut layer = |index: usize| {
             for block in &self.blocks[2 * index..2 * index + 2] {
@@ -82,7 +81,11 @@ impl BasicBlock {
             Some(downsample) => conv2d(downsample, input.clone()),
             None => input.clone(),
         };
-        let residual = conv2d(&self.conv2, relu(conv2d(&self.conv1, input)));
-        relu(residual + shortcut)
+        let inner = with_relu(&self.conv1).forward(input);
+        Block { shortcut: Some(shortcut), ..with_relu(&self.conv2) }.forward(inner)
     }
+}
+
+fn with_relu(layer: &Conv2d) -> Block<'_> {
+    Block { activation: Activation::Relu, ..Block::of(layer) }
 }

@@ -10,25 +10,51 @@ const STRUCTURE: f64 = 0.85;
 const C1: f64 = 0.01 * 0.01;
 const C2: f64 = 0.03 * 0.03;
 
-/// `0.85 (1 − SSIM)/2 + 0.15 L1` at every pixel, a mean over channels.
-///
-/// # Shapes
-/// - `image`, `target`: `[batch, 3, height, width]`, 0…1
-/// - returns: `[batch, 1, height, width]`, 0…1
-pub(super) fn photometric_error(image: Tensor<4>, target: Tensor<4>) -> Tensor<4> {
-    let difference = (image.clone() - target.clone()).abs().mean_dim(1);
-    structural_distance(image, target).mean_dim(1) * STRUCTURE + difference * (1.0 - STRUCTURE)
+/// An image that others are compared with, and the statistics of its 3x3 windows.
+#[derive(Clone)]
+pub(super) struct Target {
+    /// `[batch, 3, height, width]`, 0…1.
+    image: Tensor<4>,
+    mean: Tensor<4>,
+    variance: Tensor<4>,
 }
 
-/// `(1 − SSIM)/2` over windows of 3x3 pixels, clamped to 0…1.
-fn structural_distance(x: Tensor<4>, y: Tensor<4>) -> Tensor<4> {
-    let (mean_x, mean_y) = (window_mean(x.clone()), window_mean(y.clone()));
-    let variance_x = window_mean(x.clone().square()) - mean_x.clone().square();
-    let variance_y = window_mean(y.clone().square()) - mean_y.clone().square();
-    let covariance = window_mean(x * y) - mean_x.clone() * mean_y.clone();
-    let numerator = (mean_x.clone() * mean_y.clone() * 2.0 + C1) * (covariance * 2.0 + C2);
-    let denominator = (mean_x.square() + mean_y.square() + C1) * (variance_x + variance_y + C2);
-    ((numerator / denominator) * -0.5 + 0.5).clamp(0.0, 1.0)
+impl Target {
+    /// # Shapes
+    /// - `image`: `[batch, 3, height, width]`, 0…1
+    pub fn new(image: Tensor<4>) -> Self {
+        let mean = window_mean(image.clone());
+        let variance = window_mean(image.clone().square()) - mean.clone().square();
+        Self { image, mean, variance }
+    }
+
+    /// The same images several times, one batch behind the other.
+    pub fn repeated(self, times: usize) -> Self {
+        let Self { image, mean, variance } = self;
+        let [image, mean, variance] = [image, mean, variance].map(|tensor| tensor.repeat_dim(0, times));
+        Self { image, mean, variance }
+    }
+
+    /// `0.85 (1 − SSIM)/2 + 0.15 L1` at every pixel, a mean over channels.
+    ///
+    /// # Shapes
+    /// - `image`: as the target
+    /// - returns: `[batch, 1, height, width]`, 0…1
+    pub fn photometric_error(&self, image: Tensor<4>) -> Tensor<4> {
+        let difference = (image.clone() - self.image.clone()).abs().mean_dim(1);
+        self.structural_distance(image).mean_dim(1) * STRUCTURE + difference * (1.0 - STRUCTURE)
+    }
+
+    /// `(1 − SSIM)/2` over windows of 3x3 pixels, clamped to 0…1.
+    fn structural_distance(&self, x: Tensor<4>) -> Tensor<4> {
+        let (mean_x, mean_y) = (window_mean(x.clone()), self.mean.clone());
+        let variance_x = window_mean(x.clone().square()) - mean_x.clone().square();
+        let products = mean_x.clone() * mean_y.clone();
+        let covariance = window_mean(x * self.image.clone()) - products.clone();
+        let numerator = (products * 2.0 + C1) * (covariance * 2.0 + C2);
+        let denominator = (mean_x.square() + mean_y.square() + C1) * (variance_x + self.variance.clone() + C2);
+        ((numerator / denominator) * -0.5 + 0.5).clamp(0.0, 1.0)
+    }
 }
 
 /// Mean of each 3x3 neighbourhood, the image continued by its mirror image.
@@ -69,10 +95,11 @@ mod tests {
     fn equal_images_have_no_error_and_opposite_ones_much() {
         let device = Device::flex();
         let image = Tensor::<4>::random([2, 3, 8, 9], Distribution::Uniform(0.0, 1.0), &device);
-        let error = photometric_error(image.clone(), image.clone());
+        let target = Target::new(image.clone());
+        let error = target.photometric_error(image.clone());
         assert_eq!(error.dims(), [2, 1, 8, 9]);
         assert!(error.max().into_scalar::<f32>() < 1e-6);
-        let opposite = photometric_error(image.clone(), image * -1.0 + 1.0).mean().into_scalar::<f32>();
+        let opposite = target.photometric_error(image * -1.0 + 1.0).mean().into_scalar::<f32>();
         assert!(opposite > 0.5, "{opposite}");
     }
 

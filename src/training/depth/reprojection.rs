@@ -5,7 +5,7 @@ use burn::tensor::Tensor;
 use burn::tensor::module::{avg_pool2d, conv2d, interpolate};
 use burn::tensor::ops::{AvgPoolOptions, ConvOptions, InterpolateMode, InterpolateOptions, PadMode};
 
-use super::photometric::{photometric_error, smoothness};
+use super::photometric::{Target, smoothness};
 use crate::data::PairBatch;
 use crate::depth::DepthRange;
 use crate::depth::monodepth2::{Monodepth2, disparity_to_depth};
@@ -49,7 +49,8 @@ pub(super) fn reprojection_loss(network: &Monodepth2, range_m: DepthRange, batch
         .enumerate()
         .map(|(scale, disparity)| (0..scale).fold(disparity.clone(), |disparity, _| doubled_smoothly(disparity)));
     let depth = disparity_to_depth(Tensor::cat(enlarged.collect(), 0), range_m.min, range_m.max);
-    let every_target = target.clone().repeat_dim(0, scales);
+    let seen = Target::new(target.clone());
+    let seen_at_all_scales = seen.clone().repeated(scales);
 
     let errors = (0..NEIGHBOURS).map(|neighbour| {
         let of = |tensor: Tensor<4>| tensor.narrow(0, neighbour * targets, targets);
@@ -57,13 +58,12 @@ pub(super) fn reprojection_loss(network: &Monodepth2, range_m: DepthRange, batch
         let intrinsics = batch.intrinsics.clone().narrow(0, neighbour * targets, targets).repeat_dim(0, scales);
         let motion = batch.source_from_target.clone().narrow(0, neighbour * targets, targets).repeat_dim(0, scales);
         let Warped { image, valid_mask } = Warp.forward(source, depth.clone(), intrinsics, motion);
-        photometric_error(image, every_target.clone()).mask_fill(valid_mask.equal_elem(0.0), NO_SOURCE)
+        seen_at_all_scales.photometric_error(image).mask_fill(valid_mask.equal_elem(0.0), NO_SOURCE)
     });
     let explained = least(errors);
 
-    let unwarped = (0..NEIGHBOURS).map(|neighbour| {
-        photometric_error(batch.source_image.clone().narrow(0, neighbour * targets, targets), target.clone())
-    });
+    let unwarped = (0..NEIGHBOURS)
+        .map(|neighbour| seen.photometric_error(batch.source_image.clone().narrow(0, neighbour * targets, targets)));
     let unmoved = (least(unwarped) - TIE_BREAK).repeat_dim(0, scales);
 
     let photometric = Tensor::min_pair(explained, unmoved);
