@@ -9,6 +9,7 @@ use clap::Args;
 use super::progress::{Progress, note};
 use super::train::interrupt_on_ctrl_c;
 use super::{Overrides, Terminal, print_result, synth};
+use crate::config::DepthConfig;
 use crate::device::{device_name, open_device};
 use crate::error::Error;
 use crate::training::RunFolder;
@@ -33,7 +34,7 @@ pub struct TrainDepthArguments {
     /// The experiment: its drives, its truth and its table depth_training
     #[arg(long, value_name = "FILE", required_unless_present = "resume", conflicts_with = "resume")]
     config: Option<PathBuf>,
-    /// Folder of the weights [default: NAME_depth beside the experiment's run]
+    /// Folder of the weights [default: the configuration's depth.weights, else NAME_depth beside its run]
     #[arg(long, value_name = "DIR", conflicts_with = "resume")]
     out: Option<PathBuf>,
     /// Go on with the training in this folder
@@ -80,7 +81,11 @@ fn prepare(arguments: &TrainDepthArguments, terminal: &Terminal) -> anyhow::Resu
     if let Some(folder) = &arguments.resume {
         return Ok(DepthLearner::resume(config, folder, &device)?);
     }
-    let out = arguments.out.clone().unwrap_or_else(|| config.checkpoints.join(format!("{}_depth", config.name)));
+    let out = match (&arguments.out, &config.depth) {
+        (Some(out), _) => out.clone(),
+        (None, DepthConfig::Monodepth2(network)) => network.weights.clone(),
+        (None, _) => config.checkpoints.join(format!("{}_depth", config.name)),
+    };
     if !arguments.force {
         // Found now rather than after data are rendered and read.
         RunFolder::require_free(&out)?;
