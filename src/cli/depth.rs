@@ -1,7 +1,7 @@
 //! `relcov depth`.
 
 use std::collections::BTreeSet;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::Args;
@@ -13,6 +13,9 @@ use crate::config::{Config, DepthConfig};
 use crate::data::{Dataset, Pair, PairScope};
 use crate::depth::{DepthCache, DepthEstimator, DepthJudge, DepthScores, FrameId, ScaleRule, precompute};
 use crate::device::{device_name, open_device};
+use crate::evaluation::{SourceScores, compare_depth_sources};
+use crate::files::write_atomically;
+use crate::report::{CONTACT_SHEET_COLUMNS, contact_sheet};
 
 /// Arguments of `relcov depth`.
 #[derive(Args)]
@@ -20,12 +23,13 @@ use crate::device::{device_name, open_device};
   relcov depth --config configs/kitti_monodepth2.toml
   relcov depth --config configs/kitti_monodepth2.toml --set depth.scale.fixed=5.4 --force
   relcov depth --config configs/kitti_sample.toml --set depth.source=lidar --evaluate
+  relcov depth --config configs/kitti_sample.toml --compare lidar --compare ground_plane --contact-sheet sheet.png
   relcov depth --config configs/synthetic.toml --evaluate --truth '{date}/{drive}/depth_02/data/{frame}.png'
 
 Fills the cache of a configuration whose depth.source is monodepth2, with the depth of every target image. What is
 there is kept, so an interrupted command goes on where it stopped. train and eval then need neither the network nor
-its weights. --evaluate judges any depth source against LiDAR, on the Eigen crop up to 80 m. docs/depth.md tells
-which source to choose and where weights come from.")]
+its weights. --evaluate judges any depth source against LiDAR, on the Eigen crop up to 80 m (LiDAR itself at the
+network's size, by rings left out); --compare by how well it warps. docs/depth.md tells which source to choose and where weights come from.")]
 pub struct DepthArguments {
     /// The experiment
     #[arg(long, value_name = "FILE")]
@@ -36,6 +40,12 @@ pub struct DepthArguments {
     /// Judge the depth of the experiment's frames against their LiDAR scans, and print the field's table
     #[arg(long, conflicts_with = "force")]
     evaluate: bool,
+    /// Warp the test pairs by their true motion with the depth of each source, and print how well it explains them: ground_plane, lidar, files=PATH, monodepth2=WEIGHTS; repeatable
+    #[arg(long, value_name = "SOURCE", conflicts_with_all = ["force", "evaluate"])]
+    compare: Vec<String>,
+    /// Draw one pair warped with the depth of each source
+    #[arg(long, value_name = "PNG", requires = "compare")]
+    contact_sheet: Option<PathBuf>,
     /// Judge against depth files (16-bit PNG, metres x 256) in place of scans: a path below data.root with {date}, {drive}, {frame}
     #[arg(long, value_name = "PATH", requires = "evaluate")]
     truth: Option<String>,
@@ -47,6 +57,9 @@ pub fn run(arguments: &DepthArguments, terminal: &Terminal) -> anyhow::Result<()
     let config = arguments.overrides.load(&arguments.config)?;
     if arguments.evaluate {
         return evaluate(&config, arguments.truth.as_deref(), terminal);
+    }
+    if !arguments.compare.is_empty() {
+        return compare(&config, &arguments.compare, arguments.contact_sheet.as_deref());
     }
     let DepthConfig::Monodepth2(network) = &config.depth else {
         anyhow::bail!(
@@ -137,7 +150,7 @@ fn evaluate(config: &Config, truth: Option<&str>, terminal: &Terminal) -> anyhow
         frames.len(),
         judge.truth_name(),
         scores.pixels,
-        table(&[("as it is", scores), ("median-scaled", median_scaled)])
+        scores_table(&[("as it is", scores), ("median-scaled", median_scaled)])
     );
     if judged.without_truth > 0 {
         text += &format!("{} frames have no truth\n", judged.without_truth);
@@ -145,17 +158,89 @@ fn evaluate(config: &Config, truth: Option<&str>, terminal: &Terminal) -> anyhow
     print_result(&text)
 }
 
-fn table(rows: &[(&str, DepthScores)]) -> Table {
+fn compare(config: &Config, names: &[String], sheet: Option<&Path>) -> anyhow::Result<()> {
+    let sources = names
+        .iter()
+        .map(|text| Ok((text.split('=').next().unwrap_or(text).to_owned(), parse_source(config, text)?)))
+        .collect::<anyhow::Result<Vec<_>>>()?;
+    let comparison = compare_depth_sources(config, &sources, &open_device(&config.device)?)?;
+    if let Some(path) = sheet {
+        write_atomically(path, &contact_sheet(&comparison.example))?;
+        let columns = CONTACT_SHEET_COLUMNS.join(" | ");
+        print_result(&format!("{}: a row for each source; columns: {columns}\n", path.display()))?;
+    }
+    let mut table = numbers_table(["depth", "known", "valid", "difference", "where all are valid"].map(str::to_owned));
+    let percent = |share: f64| format!("{:.0} %", 100.0 * share);
+    for SourceScores { name, known, valid, difference, common_difference } in &comparison.sources {
+        table.add_row([
+            name.clone(),
+            percent(*known),
+            percent(*valid),
+            format!("{difference:.2}"),
+            format!("{common_difference:.2}"),
+        ]);
+    }
+    let without = format!("{:.2}", comparison.unwarped_difference);
+    table.add_row(["no warp".to_owned(), "–".to_owned(), "–".to_owned(), "–".to_owned(), without]);
+    print_result(&format!(
+        "{} pairs warped by the true motion, {}x{}; mean differences in grey levels; {} of the pixels are valid by all\n{table}\n",
+        comparison.pairs,
+        config.model.width,
+        config.model.height,
+        percent(comparison.common),
+    ))
+}
+
+/// `lidar`, `files=PATH` and the like; what is not said is as in the configuration, or the default.
+fn parse_source(config: &Config, text: &str) -> anyhow::Result<DepthConfig> {
+    let (name, value) = text.split_once('=').map_or((text, None), |(name, value)| (name, Some(value)));
+    let mut table = toml::Table::new();
+    let configured = toml::Table::try_from(&config.depth)?;
+    if configured.get("source").and_then(toml::Value::as_str) == Some(name) {
+        table = configured;
+    }
+    table.insert("source".to_owned(), name.into());
+    let key = match name {
+        "files" => Some("path"),
+        "monodepth2" => Some("weights"),
+        _ => None,
+    };
+    match (key, value) {
+        (Some(key), Some(value)) => {
+            table.insert(key.to_owned(), value.into());
+        }
+        (None, Some(_)) => anyhow::bail!("--compare {text}: `{name}` takes no value"),
+        (_, None) => {}
+    }
+    let depth = table.try_into().map_err(|error: toml::de::Error| {
+        anyhow::anyhow!(
+            "--compare {text}: {}; expected ground_plane, lidar, files=PATH or monodepth2=WEIGHTS",
+            error.message()
+        )
+    })?;
+    let mut config = Config { depth, ..config.clone() };
+    config.name_depth_cache();
+    config.validate()?;
+    Ok(config.depth)
+}
+
+fn numbers_table(header: impl IntoIterator<Item = String>) -> Table {
     let mut table = Table::new();
     table.load_style(presets::ASCII_MARKDOWN);
-    table.set_header(["depth", "abs_rel", "sq_rel (m)", "rmse (m)", "rmse_log", "d < 1.25", "d < 1.25²", "d < 1.25³"]);
+    table.set_header(header);
+    for column in table.column_iter_mut().skip(1) {
+        column.set_cell_alignment(CellAlignment::Right);
+    }
+    table
+}
+
+fn scores_table(rows: &[(&str, DepthScores)]) -> Table {
+    let header = ["depth", "abs_rel", "sq_rel (m)", "rmse (m)", "rmse_log", "d < 1.25", "d < 1.25²", "d < 1.25³"];
+    let mut table = numbers_table(header.map(str::to_owned));
     for (name, scores) in rows {
         let DepthScores { abs_rel, sq_rel, rmse, rmse_log, below, .. } = scores;
         let numbers = [*abs_rel, *sq_rel, *rmse, *rmse_log].into_iter().chain(*below);
         table.add_row([(*name).to_owned()].into_iter().chain(numbers.map(|number| format!("{number:.3}"))));
-    }
-    for column in table.column_iter_mut().skip(1) {
-        column.set_cell_alignment(CellAlignment::Right);
     }
     table
 }

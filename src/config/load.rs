@@ -45,7 +45,7 @@ impl Config {
     }
 
     /// Gives the depth maps of a network their default place.
-    fn name_depth_cache(&mut self) {
+    pub(crate) fn name_depth_cache(&mut self) {
         if let DepthConfig::Monodepth2(network) = &mut self.depth
             && network.cache.as_os_str().is_empty()
         {
