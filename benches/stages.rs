@@ -211,7 +211,7 @@ fn training_loop(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("training loop");
     group.sample_size(10).measurement_time(Duration::from_secs(60)).throughput(Throughput::Elements(pairs));
 
-    let reader = PairReader::new(&config, &dataset, SplitName::Train).unwrap();
+    let reader = PairReader::new(&config, &dataset, SplitName::Train);
     let samples: Vec<PairSample> = dataset.train.pairs[..config.training.micro_batch]
         .iter()
         .map(|pair| reader.read(pair).expect("readable").expect("readable"))

@@ -92,13 +92,14 @@ pub fn run(arguments: &DepthArguments, terminal: &Terminal) -> anyhow::Result<()
     );
     let mut progress: Option<Progress> = None;
     let begin = std::time::Instant::now();
-    let summary = precompute(&estimator, network, &dataset.drives, &frames, &mut |done, total| {
-        let rate = done as f64 / begin.elapsed().as_secs_f64();
-        progress
-            .get_or_insert_with(|| Progress::new(terminal.quiet, "depth", 0, total))
-            .set(done, &format!("{rate:.1} frames/s"));
-        Ok(())
-    })?;
+    let summary =
+        precompute(&estimator, network, &dataset.drives, &frames, config.data.max_bad_fraction, &mut |done, total| {
+            let rate = done as f64 / begin.elapsed().as_secs_f64();
+            progress
+                .get_or_insert_with(|| Progress::new(terminal.quiet, "depth", 0, total))
+                .set(done, &format!("{rate:.1} frames/s"));
+            Ok(())
+        })?;
     drop(progress);
     if !summary.unreadable.is_empty() {
         note(false, &format!("{} frames could not be read and have no depth map", summary.unreadable.len()));

@@ -196,7 +196,7 @@ pub fn evaluate_run(
     let recalibration = match recalibrate {
         Recalibrate::AsStored => run.recalibration()?,
         Recalibrate::Anew => {
-            let reader = Arc::new(PairReader::new(&config, &dataset, SplitName::Validation)?);
+            let reader = Arc::new(PairReader::new(&config, &dataset, SplitName::Validation));
             let predictions = predict(SplitName::Validation, &reader)?;
             let learned = manifest.systems.iter().filter(|system| system.share > 0.0);
             let learned: Vec<&str> = learned.map(|system| system.name.as_str()).collect();
@@ -207,7 +207,7 @@ pub fn evaluate_run(
             Some(fitted)
         }
     };
-    let reader = Arc::new(PairReader::new(&config, &dataset, split)?);
+    let reader = Arc::new(PairReader::new(&config, &dataset, split));
     let mut predictions = predict(split, &reader)?;
     if let Some(recalibration) = &recalibration {
         predictions.iter_mut().for_each(|row| row.covariance = recalibration.apply(&row.covariance));

@@ -7,8 +7,9 @@ use clap::Args;
 use comfy_table::{CellAlignment, Table, presets};
 
 use super::print_result;
-use crate::config::Config;
+use crate::config::{Config, DepthConfig};
 use crate::data::{Coverage, Dataset, Pair, PairId, PairReader, PairScope, SplitName};
+use crate::depth::DepthCache;
 use crate::device::open_device;
 use crate::evaluation::warp_pair;
 use crate::files::write_atomically;
@@ -51,10 +52,11 @@ pub fn run(arguments: &InspectArguments) -> anyhow::Result<()> {
             arguments.config.display()
         );
     }
-    let dataset = Dataset::load(&config, PairScope::Images)?;
-    print_result(&describe(&config, &dataset))?;
+    let (found, depth_problem) = with_maps_that_are_there(&config);
+    let dataset = Dataset::load(&found, PairScope::Images)?;
+    print_result(&describe(&config, &dataset, depth_problem))?;
     match &arguments.contact_sheet {
-        Some(path) => draw_contact_sheet(path, usize::from(arguments.pairs), &config, &dataset),
+        Some(path) => draw_contact_sheet(path, usize::from(arguments.pairs), &found, &dataset),
         None => Ok(()),
     }
 }
@@ -65,7 +67,7 @@ fn draw_contact_sheet(path: &Path, pairs: usize, config: &Config, dataset: &Data
     let mut measured: BTreeMap<PairId, Vec<&Pair>> = BTreeMap::new();
     splits.iter().flat_map(|split| &split.pairs).for_each(|pair| measured.entry(pair.id).or_default().push(pair));
     anyhow::ensure!(!measured.is_empty(), "no pair has images and depth: there is nothing to draw");
-    let reader = PairReader::new(config, dataset, SplitName::Test)?;
+    let reader = PairReader::new(config, dataset, SplitName::Test);
     let device = open_device(&config.device)?;
     let (mut rows, mut legend) = (Vec::new(), String::new());
     let count = measured.len();
@@ -89,7 +91,16 @@ fn draw_contact_sheet(path: &Path, pairs: usize, config: &Config, dataset: &Data
     print_result(&format!("{}: columns: {}\n{legend}", path.display(), CONTACT_SHEET_COLUMNS.join(" | ")))
 }
 
-fn describe(config: &Config, dataset: &Dataset) -> String {
+/// Where a network's depth is asked for: its cache taken for files, so that what is there is counted, and what is
+/// wrong with it.
+fn with_maps_that_are_there(config: &Config) -> (Config, Option<String>) {
+    let DepthConfig::Monodepth2(network) = &config.depth else { return (config.clone(), None) };
+    let cache = DepthCache::of(network);
+    let depth = DepthConfig::Files { path: cache.map_template() };
+    (Config { depth, ..config.clone() }, cache.require(network).err().map(|error| error.to_string()))
+}
+
+fn describe(config: &Config, dataset: &Dataset, depth_problem: Option<String>) -> String {
     let mut text = format!("data: {}\n{}\n\n", dataset.root.display(), coverage_table(dataset));
     for name in [SplitName::Train, SplitName::Validation, SplitName::Test] {
         text += &format!("{}\n", summary(dataset, name));
@@ -105,7 +116,7 @@ fn describe(config: &Config, dataset: &Dataset) -> String {
             .collect::<Vec<_>>()
             .join(" + ")
     );
-    let problems = problems(dataset);
+    let problems: Vec<String> = problems(dataset).into_iter().chain(depth_problem).collect();
     if problems.is_empty() {
         text += "problems: none\n";
     } else {

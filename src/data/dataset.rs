@@ -9,7 +9,10 @@ use sha2::{Digest, Sha256};
 
 use super::drive::Drive;
 use super::pairing::Pairing;
-use crate::config::{Config, DriveConfig, RelativeConfig, SystemConfig, SystemSource, TruthConfig, WatchedSplit};
+use crate::config::{
+    Config, DepthConfig, DriveConfig, RelativeConfig, SystemConfig, SystemSource, TruthConfig, WatchedSplit,
+};
+use crate::depth::DepthCache;
 use crate::error::{Error, Result};
 use crate::geometry::{Covariance6, Pose, Tangent};
 use crate::synthetic::{SYSTEMS, is_synthetic};
@@ -140,8 +143,12 @@ impl Dataset {
     ///
     /// # Errors
     /// A drive, calibration or measurement file is missing or malformed, or too many packets are
-    /// unreadable. Splits may come out empty; see [`Dataset::require`].
+    /// unreadable; or the depth maps of a network are missing or stale. Splits may come out empty; see
+    /// [`Dataset::require`].
     pub fn load(config: &Config, scope: PairScope) -> Result<Self> {
+        let network = if let DepthConfig::Monodepth2(network) = &config.depth { Some(network) } else { None };
+        let network = network.filter(|_| scope == PairScope::Images);
+        network.map_or(Ok(()), |network| DepthCache::of(network).require(network))?;
         let mut pairing = Pairing::new(config, scope);
         let held_out = config.data.validation.is_empty() && config.training.watch == WatchedSplit::Validation;
         let mut coverage = Vec::new();
@@ -172,6 +179,7 @@ impl Dataset {
         };
         dataset.refuse_overlap(&dataset.validation)?;
         dataset.refuse_overlap(&dataset.test)?;
+        network.map_or(Ok(()), |_| dataset.require_depth(config))?;
         Ok(dataset)
     }
 
@@ -215,7 +223,7 @@ impl Dataset {
     ///
     /// # Errors
     /// More lack it; the message says how many.
-    pub(super) fn require_depth(&self, config: &Config) -> Result<()> {
+    fn require_depth(&self, config: &Config) -> Result<()> {
         let count = |of: fn(&Coverage) -> usize| self.coverage.iter().map(of).sum::<usize>();
         let (pairs, with_depth) = (count(|coverage| coverage.image_pairs), count(|coverage| coverage.depth_pairs));
         if (pairs - with_depth) as f64 > config.data.max_bad_fraction * pairs as f64 {

@@ -14,7 +14,7 @@ use super::dataset::{Dataset, Pair, PairId, SplitName};
 use super::drive::Drive;
 use super::image::{RgbImage, read_image};
 use crate::config::{Config, DepthConfig};
-use crate::depth::{DepthCache, DepthMap, load_depth};
+use crate::depth::{DepthMap, load_depth};
 use crate::error::{Error, Place, Result};
 use crate::geometry::{Pinhole, Pose, Tangent};
 
@@ -100,14 +100,7 @@ impl Weighter<FrameKey, Frame> for FrameWeighter {
 
 impl PairReader {
     /// A reader for the pairs of one split at the configured network size.
-    ///
-    /// # Errors
-    /// The depth maps of a network are missing, or were made by other weights or settings.
-    pub fn new(config: &Config, dataset: &Dataset, split: SplitName) -> Result<Self> {
-        if let DepthConfig::Monodepth2(network) = &config.depth {
-            DepthCache::of(network).require(network)?;
-            dataset.require_depth(config)?;
-        }
+    pub fn new(config: &Config, dataset: &Dataset, split: SplitName) -> Self {
         let (width, height) = (config.model.width, config.model.height);
         let cache_bytes = config.data.cache_mb as u64 * 1_000_000;
         let typical_frame = (3 * width * height) as u64;
@@ -115,7 +108,7 @@ impl PairReader {
         let frames: HashSet<_> =
             pairs.iter().flat_map(|pair| [(pair.id.drive, pair.id.source), (pair.id.drive, pair.id.target)]).collect();
         let max_bad_fraction = config.data.max_bad_fraction;
-        Ok(Self {
+        Self {
             root: dataset.root.clone(),
             cameras: dataset.drives.iter().map(|drive| drive.calibration.camera2.resized(width, height)).collect(),
             drives: dataset.drives.clone(),
@@ -125,7 +118,7 @@ impl PairReader {
             bad_frames: Mutex::default(),
             max_bad_frames: max_bad_fraction * frames.len() as f64,
             max_bad_fraction,
-        })
+        }
     }
 
     /// Memory that a pair takes in a batch: its colour images and a depth map of 32-bit floats.

@@ -82,6 +82,11 @@ impl DepthCache {
         &self.folder
     }
 
+    /// Path of every map, as `depth.path` of files has it.
+    pub fn map_template(&self) -> String {
+        self.folder.join("{date}/{drive}/{frame}.png").display().to_string()
+    }
+
     /// Path of a frame's map.
     pub fn map_path(&self, drive: &Drive, frame: usize) -> PathBuf {
         self.folder.join(drive.date()).join(&drive.name).join(format!("{frame:010}.png"))

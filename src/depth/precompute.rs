@@ -46,15 +46,17 @@ pub type FrameId = (usize, usize);
 /// Makes the maps that a cache lacks.
 ///
 /// `observe` hears how many of how many are done; an error of its ends the work. What is finished stays, and the next
-/// call goes on from there.
+/// call goes on from there. Frames whose image cannot be read have no map.
 ///
 /// # Errors
-/// The cache was made otherwise or cannot be written, the weights are unusable, or no scale can be found.
+/// The cache was made otherwise or cannot be written, no scale can be found, or more than `max_bad_fraction` of the
+/// frames cannot be read.
 pub fn precompute(
     estimator: &DepthEstimator,
     config: &NetworkDepthConfig,
     drives: &[Drive],
     frames: &[FrameId],
+    max_bad_fraction: f64,
     observe: &mut dyn FnMut(usize, usize) -> Result<()>,
 ) -> Result<PrecomputeSummary> {
     let cache = DepthCache::of(config);
@@ -62,7 +64,8 @@ pub fn precompute(
     let missing: Vec<FrameId> =
         frames.iter().copied().filter(|&(drive, frame)| !cache.map_path(&drives[drive], frame).is_file()).collect();
     let mut summary = PrecomputeSummary { kept: frames.len() - missing.len(), ..PrecomputeSummary::default() };
-    let run = NetworkRun { estimator, drives, rule: manifest.scale() };
+    let max_bad_frames = max_bad_fraction * frames.len() as f64;
+    let run = NetworkRun { estimator, drives, rule: manifest.scale(), max_bad_frames };
     run.find_sequence_factors(&missing, &mut manifest, &mut summary)?;
     cache.write(&manifest)?;
     summary.sequence_factors.clone_from(&manifest.sequence_factors);
@@ -96,6 +99,7 @@ struct NetworkRun<'a> {
     estimator: &'a DepthEstimator,
     drives: &'a [Drive],
     rule: ScaleRule,
+    max_bad_frames: f64,
 }
 
 /// A frame as the network takes it.
@@ -216,6 +220,12 @@ impl NetworkRun<'_> {
                         Err(error) => {
                             tracing::warn!("no depth map: {error}");
                             unreadable.push(error.to_string());
+                            if unreadable.len() as f64 > self.max_bad_frames {
+                                return Err(Error::Data(format!(
+                                    "{} unusable frames are more than data.max_bad_fraction allows; the last: {error}",
+                                    unreadable.len()
+                                )));
+                            }
                         }
                     }
                 }

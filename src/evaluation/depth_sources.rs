@@ -52,7 +52,7 @@ pub fn compare_depth_sources(
             let truth = SystemConfig { name: "truth".to_owned(), share: 1.0, source: SystemSource::Truth {} };
             let config = Config { depth: depth.clone(), systems: vec![truth], ..config.clone() };
             let dataset = Dataset::load(&config, PairScope::Images)?;
-            Ok((PairReader::new(&config, &dataset, SplitName::Test)?, dataset.test.pairs))
+            Ok((PairReader::new(&config, &dataset, SplitName::Test), dataset.test.pairs))
         })
         .collect::<Result<Vec<_>>>()?;
     let Some((first, others)) = readers.split_first() else {

@@ -110,8 +110,8 @@ impl Learner {
         let model = manifest.architecture.init(manifest.initial_log_variance, &device.clone().autodiff());
         let optimiser = Adam::new().into();
         Ok(Self {
-            reader: Arc::new(PairReader::new(&config, &dataset, SplitName::Train)?),
-            watched_reader: Arc::new(PairReader::new(&config, &dataset, watched)?),
+            reader: Arc::new(PairReader::new(&config, &dataset, SplitName::Train)),
+            watched_reader: Arc::new(PairReader::new(&config, &dataset, watched)),
             constant_loss: constant_loss(&dataset, watched, manifest),
             device: device.clone(),
             history: History::new(config.systems.len()),
@@ -291,7 +291,7 @@ impl Learner {
         let model = self.run.load_model(&self.run.manifest()?, &self.device)?;
         let reader = match watched_split(&self.config) {
             SplitName::Validation => self.watched_reader.clone(),
-            _ => Arc::new(PairReader::new(&self.config, &self.dataset, SplitName::Validation)?),
+            _ => Arc::new(PairReader::new(&self.config, &self.dataset, SplitName::Validation)),
         };
         let predictions = self.predict(&model, SplitName::Validation, &reader, observer)?;
         let learned = self.config.systems.iter().filter(|system| system.share > 0.0);

@@ -54,7 +54,7 @@ fn predict_first_pair(run: &Path) {
     let config = Config::load(&run.join("config.toml"), &[]).unwrap();
     let dataset = Dataset::load(&config, PairScope::Images).unwrap();
     let pair = &dataset.test.pairs_of(0)[0];
-    let sample = PairReader::new(&config, &dataset, SplitName::Test).unwrap().read(pair).unwrap().expect("readable");
+    let sample = PairReader::new(&config, &dataset, SplitName::Test).read(pair).unwrap().expect("readable");
     let predicted = Model::load(run, &device)
         .unwrap()
         .predict(&Measurement {
@@ -148,7 +148,7 @@ stereo = true
     record(&folder.path().join("street"), &settings, Replace::Never, &mut |_| Ok(())).unwrap();
     let config = Config::load(&path, &[]).unwrap();
     let dataset = Dataset::load(&config, PairScope::Images).unwrap();
-    let reader = PairReader::new(&config, &dataset, SplitName::Train).unwrap();
+    let reader = PairReader::new(&config, &dataset, SplitName::Train);
     let sample = reader.read(&dataset.train.pairs[1]).unwrap().expect("readable");
     let device = open_device("flex").unwrap();
     let pairs = PairBatch::new(&[sample], &device);

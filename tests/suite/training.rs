@@ -43,7 +43,7 @@ fn micro_batches_give_the_gradient_of_the_whole_batch() {
     let made = Made::new();
     let config = made.config(&[]);
     let dataset = made.dataset(&config);
-    let reader = PairReader::new(&config, &dataset, SplitName::Train).unwrap();
+    let reader = PairReader::new(&config, &dataset, SplitName::Train);
     let samples: Vec<PairSample> =
         dataset.train.pairs.iter().take(8).map(|pair| reader.read(pair).unwrap().expect("readable")).collect();
     let device = open_device("flex").unwrap();

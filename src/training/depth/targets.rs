@@ -55,7 +55,7 @@ impl Targets {
             )));
         }
         let loader = Self::config(config);
-        Ok(Self { reader: Arc::new(PairReader::new(&loader, dataset, split)?), pairs: Arc::new(pairs), loader })
+        Ok(Self { reader: Arc::new(PairReader::new(&loader, dataset, split)), pairs: Arc::new(pairs), loader })
     }
 
     pub fn len(&self) -> usize {
