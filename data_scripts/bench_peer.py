@@ -7,6 +7,7 @@
 
     uv run data_scripts/bench_peer.py                        # everything; about 20 minutes on 2 cores
     uv run data_scripts/bench_peer.py --only forward         # lines whose name holds a word; prints only
+    uv run data_scripts/bench_peer.py --depth                # the depth network's table alone
     uv run data_scripts/bench_peer.py --gpu vulkan cuda      # PyTorch CUDA beside these devices of relcov;
                                                              # writes docs/results/gpu.md
 
@@ -42,9 +43,12 @@ CASES = [
     ("forward", 192, 640, 1, 20, 0.85),
     ("forward", 320, 1024, 1, 10, 0.85),
     ("warp", 160, 512, 8, 40, 0.50),
+]
+# The depth network.
+DEPTH_CASES = [
     ("depth", 192, 640, 1, 10, 1.00),
     ("depth", 192, 640, 4, 4, 1.00),
-    ("depth", 320, 1024, 1, 5, 1.00),
+    ("depth", 320, 1024, 1, 6, 1.00),
     ("depth", 320, 1024, 4, 3, 1.00),
 ]
 # Mode, height, width, batch, runs, threads; None: all of them.
@@ -299,6 +303,23 @@ def main_table(binary, rounds, only):
     return lines, version
 
 
+def depth_table(binary, rounds, only):
+    heads = ["case", "PyTorch, ms", "Burn's flex, ms", "relcov, ms", "relcov / PyTorch", "aim", "relcov, ms an image",
+             "memory: PyTorch, MB", "Burn's flex, MB", "relcov, MB"]
+    lines = [row(heads), "|---" * len(heads) + "|"]
+    for *case, aim in DEPTH_CASES:
+        if only and only not in label(*case[:4]):
+            continue
+        found = side_by_side(binary, case, rounds)
+        ours, torch, stock = found["relcov"], found["torch"], found["stock"]
+        times = [ms(side["median_ms"]) for side in (torch, stock, ours)]
+        memory = [f"{side['memory_mb']:.0f}" for side in (torch, stock, ours)]
+        ratio = f"**{ours['median_ms'] / torch['median_ms']:.2f}**"
+        lines.append(row([label(*case[:4]), *times, ratio, f"{aim:.2f}", ms(ours["median_ms"] / case[3]), *memory]))
+        print(lines[-1], flush=True)
+    return lines
+
+
 def scaling_table(binary, rounds):
     heads = ["case", "threads", "PyTorch (channels last, fused Adam), ms", "relcov, ms", "relcov / PyTorch", "relcov, ms a pair",
              "memory: PyTorch, MB", "relcov, MB"]
@@ -372,6 +393,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=4, help="turns of each side (default 4)")
     parser.add_argument("--only", help="measure the lines whose name holds this, and print only")
+    parser.add_argument("--depth", action="store_true", help="measure the depth network alone")
     parser.add_argument("--no-scaling", action="store_true", help="leave the scaling table as it is")
     parser.add_argument("--gpu", nargs="+", metavar="DEVICE", help="devices of relcov to compare with PyTorch on a GPU")
     parser.add_argument("--torch-device", default="cuda", choices=["cuda", "cpu"], help="PyTorch's device for --gpu (default cuda)")
@@ -381,12 +403,15 @@ def main():
     if arguments.gpu:
         return gpu_table(arguments.gpu, arguments.torch_device, arguments.rounds, arguments.gpu_shape)
     if not arguments.only:
-        check_page(["machine", "comparison", "scaling"])
+        check_page(["machine", "comparison", "scaling", "depth"])
     binary = build()
+    depth_lines = depth_table(binary, arguments.rounds, arguments.only)
+    if arguments.depth:
+        return None if arguments.only else write_page({"depth": depth_lines})
     main_lines, version = main_table(binary, arguments.rounds, arguments.only)
     if arguments.only:
         return
-    tables = {"comparison": main_lines}
+    tables = {"comparison": main_lines, "depth": depth_lines}
     scaling_rounds = max(1, arguments.rounds // 2)
     if not arguments.no_scaling:
         tables["scaling"] = scaling_table(binary, scaling_rounds)

@@ -27,8 +27,6 @@ from pathlib import Path
 
 import numpy
 import torch
-from PIL import Image
-from safetensors.torch import save_file
 from torch import nn
 from torch.nn import functional
 
@@ -180,6 +178,8 @@ def scaled(view, scale):
 
 def picture(size, seed):
     """Smooth waves and noise, so that a wrong filter or a shifted pixel shows."""
+    from PIL import Image
+
     width, height = size
     v, u = numpy.mgrid[:height, :width]
     noise = numpy.random.default_rng(seed).integers(-3, 4, (height, width, 3)) * 12
@@ -193,6 +193,10 @@ def size(text):
 
 
 def main():
+    # Not needed by those who take the network alone.
+    from PIL import Image
+    from safetensors.torch import save_file
+
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--size", type=size, default=(640, 192), help="input of the network (default 640x192)")
