@@ -36,7 +36,10 @@ NEAREST_M = 3.5
 
 def projections(path):
     """P_rect_02 and P_rect_03 of a calib_cam_to_cam.txt, 3x4."""
-    text = path.read_text()
+    try:
+        text = path.read_text()
+    except OSError as error:
+        sys.exit(f"{path}: cannot be read: {error.strerror}; a date's folder holds the calibration of its drives")
     matrices = []
     for key in ("P_rect_02", "P_rect_03"):
         found = re.search(rf"^{key}:(.*)$", text, re.MULTILINE)
@@ -129,7 +132,7 @@ def main():
                     raise ValueError(f"{drive} frame {stem}: images of different sizes")
                 write(path, depth_map(left, right, focal_px, baseline_m))
                 return 1
-            except (ValueError, OSError) as error:
+            except (ValueError, OSError, cv2.error) as error:
                 print(f"no depth map: {error}", file=sys.stderr)
                 return -1
 

@@ -56,14 +56,14 @@ pub(crate) fn put_in_place(temporary: &Path, path: &Path) -> Result<()> {
     std::fs::rename(temporary, path).map_err(Error::io("rename into place", path))
 }
 
-/// Writes a file under a partial name and renames it, without waiting for the disk: for many small
+/// Writes a file under a partial name of this process's own and renames it, without waiting for the disk: for many small
 /// files that can be made again.
 ///
 /// # Errors
 /// It cannot be written; a file of that name stays as it was.
 pub(crate) fn write_renamed(path: &Path, bytes: &[u8]) -> Result<()> {
     let mut partial = path.as_os_str().to_owned();
-    partial.push(".partial");
+    partial.push(format!(".{}.partial", std::process::id()));
     std::fs::write(&partial, bytes).map_err(Error::io("write", path))?;
     std::fs::rename(&partial, path).map_err(Error::io("rename into place", path))
 }

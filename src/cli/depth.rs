@@ -11,7 +11,7 @@ use super::progress::{Progress, note};
 use super::{Overrides, Terminal, print_result, synth};
 use crate::config::{Config, DepthConfig};
 use crate::data::{Dataset, Pair, PairScope};
-use crate::depth::{DepthCache, DepthEstimator, DepthJudge, DepthScores, FrameId, ScaleRule, precompute};
+use crate::depth::{DepthCache, DepthEstimator, DepthJudge, DepthScores, FrameId, Present, ScaleRule, precompute};
 use crate::device::{device_name, open_device};
 use crate::evaluation::{SourceScores, compare_depth_sources};
 use crate::files::write_atomically;
@@ -20,8 +20,8 @@ use crate::report::{CONTACT_SHEET_COLUMNS, contact_sheet};
 /// Arguments of `relcov depth`.
 #[derive(Args)]
 #[command(after_help = "Examples:
-  relcov depth --config configs/kitti_monodepth2.toml
-  relcov depth --config configs/kitti_monodepth2.toml --set depth.scale.fixed=5.4 --force
+  relcov depth --config configs/kitti.toml
+  relcov depth --config configs/kitti.toml --set depth.weights=weights/stereo_640x192 --set 'depth.scale={fixed=5.4}'
   relcov depth --config configs/kitti_sample.toml --set depth.source=lidar --evaluate
   relcov depth --config configs/kitti_sample.toml --compare lidar --compare ground_plane --contact-sheet sheet.png
   relcov depth --config configs/synthetic.toml --evaluate --truth '{date}/{drive}/depth_02/data/{frame}.png'
@@ -70,14 +70,10 @@ pub fn run(arguments: &DepthArguments, terminal: &Terminal) -> anyhow::Result<()
     let device = open_device(&config.device)?;
     let estimator = DepthEstimator::load(&network.weights, &device)?;
     synth::make_if_asked(&config, terminal)?;
-    // Pairs that lack nothing but the depth that is made here.
-    let dataset = Dataset::load(&Config { depth: DepthConfig::default(), ..config.clone() }, PairScope::Images)?;
+    let dataset = every_image_pair(&config)?;
     let frames = target_frames(&dataset);
-    anyhow::ensure!(!frames.is_empty(), "no pair has images and a measured pose: there is no frame to make depth for");
+    anyhow::ensure!(!frames.is_empty(), "no pair has images and a true pose: there is no frame to make depth for");
     let cache = DepthCache::of(network);
-    if arguments.force {
-        cache.clear()?;
-    }
     let scale = network.scale.unwrap_or(estimator.default_scale);
     note(
         terminal.quiet,
@@ -92,14 +88,15 @@ pub fn run(arguments: &DepthArguments, terminal: &Terminal) -> anyhow::Result<()
     );
     let mut progress: Option<Progress> = None;
     let begin = std::time::Instant::now();
-    let summary =
-        precompute(&estimator, network, &dataset.drives, &frames, config.data.max_bad_fraction, &mut |done, total| {
-            let rate = done as f64 / begin.elapsed().as_secs_f64();
-            progress
-                .get_or_insert_with(|| Progress::new(terminal.quiet, "depth", 0, total))
-                .set(done, &format!("{rate:.1} frames/s"));
-            Ok(())
-        })?;
+    let present = if arguments.force { Present::Replace } else { Present::Keep };
+    let allowed = config.data.max_bad_fraction;
+    let summary = precompute(&estimator, network, &dataset.drives, &frames, allowed, present, &mut |done, total| {
+        let rate = done as f64 / begin.elapsed().as_secs_f64();
+        progress
+            .get_or_insert_with(|| Progress::new(terminal.quiet, "depth", 0, total))
+            .set(done, &format!("{rate:.1} frames/s"));
+        Ok(())
+    })?;
     drop(progress);
     if !summary.unreadable.is_empty() {
         note(false, &format!("{} frames could not be read and have no depth map", summary.unreadable.len()));
@@ -115,11 +112,21 @@ fn describe(cache: &DepthCache, summary: &crate::depth::PrecomputeSummary, scale
             summary.by_own_scan, summary.by_sequence
         );
         for (drive, factor) in &summary.sequence_factors {
-            let origin = if summary.borrowed.contains(drive) { " (no scan: mean of the others)" } else { "" };
-            text += &format!("  {drive}: {factor:.3} m a unit{origin}\n");
+            text += &format!("  {drive}: {factor:.3} m a unit\n");
+        }
+        for (drive, factor) in summary.borrowed.iter().filter_map(|drive| Some((drive, summary.borrowed_factor?))) {
+            text += &format!("  {drive}: {factor:.3} m a unit (no scan: mean of the others)\n");
         }
     }
     text
+}
+
+/// All pairs of the experiment's drives that have images and true poses, whatever measured them and whichever of them
+/// are held out.
+fn every_image_pair(config: &Config) -> anyhow::Result<Dataset> {
+    let mut config = config.with_truth_alone();
+    config.data.validation_fraction = 0.0;
+    Ok(Dataset::load(&config, PairScope::Images)?)
 }
 
 /// Target frames of all pairs, each once, drive by drive.
@@ -130,9 +137,6 @@ fn target_frames(dataset: &Dataset) -> Vec<FrameId> {
 }
 
 fn evaluate(config: &Config, truth: Option<&str>, terminal: &Terminal) -> anyhow::Result<()> {
-    if let DepthConfig::Monodepth2(network) = &config.depth {
-        DepthCache::of(network).require(network)?;
-    }
     let dataset = Dataset::load(config, PairScope::Images)?;
     let judge = DepthJudge::new(config, truth);
     let mut progress: Option<Progress> = None;
@@ -146,24 +150,27 @@ fn evaluate(config: &Config, truth: Option<&str>, terminal: &Terminal) -> anyhow
     })?;
     let median_scaled = DepthScores::mean(&judged.median_scaled).expect("judged too");
     let mut text = format!(
-        "depth of {} of {} frames against {}, {} pixels\n{}\n",
+        "depth of {} of {} frames against {}; {} pixels, {:.1} % of the true ones\n{}\n",
         scores.images,
         frames.len(),
         judge.truth_name(),
         scores.pixels,
+        100.0 * scores.pixels as f64 / (scores.pixels + scores.unknown) as f64,
         scores_table(&[("as it is", scores), ("median-scaled", median_scaled)])
     );
-    if judged.without_truth > 0 {
-        text += &format!("{} frames have no truth\n", judged.without_truth);
+    for (count, what) in
+        [(judged.without_truth, "no truth"), (judged.unreadable, "an unreadable image, depth or truth")]
+    {
+        if count > 0 {
+            text += &format!("{count} frames have {what}\n");
+        }
     }
     print_result(&text)
 }
 
 fn compare(config: &Config, names: &[String], sheet: Option<&Path>) -> anyhow::Result<()> {
-    let sources = names
-        .iter()
-        .map(|text| Ok((text.split('=').next().unwrap_or(text).to_owned(), parse_source(config, text)?)))
-        .collect::<anyhow::Result<Vec<_>>>()?;
+    let sources =
+        names.iter().map(|text| Ok((text.clone(), parse_source(config, text)?))).collect::<anyhow::Result<Vec<_>>>()?;
     let comparison = compare_depth_sources(config, &sources, &open_device(&config.device)?)?;
     if let Some(path) = sheet {
         write_atomically(path, &contact_sheet(&comparison.example))?;
@@ -192,12 +199,12 @@ fn compare(config: &Config, names: &[String], sheet: Option<&Path>) -> anyhow::R
     ))
 }
 
-/// `lidar`, `files=PATH` and the like; what is not said is as in the configuration, or the default.
+/// `lidar`, `files=PATH` and the like; a name alone that is the configured source takes its keys from there.
 fn parse_source(config: &Config, text: &str) -> anyhow::Result<DepthConfig> {
     let (name, value) = text.split_once('=').map_or((text, None), |(name, value)| (name, Some(value)));
     let mut table = toml::Table::new();
     let configured = toml::Table::try_from(&config.depth)?;
-    if configured.get("source").and_then(toml::Value::as_str) == Some(name) {
+    if value.is_none() && configured.get("source").and_then(toml::Value::as_str) == Some(name) {
         table = configured;
     }
     table.insert("source".to_owned(), name.into());

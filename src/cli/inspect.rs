@@ -97,7 +97,7 @@ fn with_maps_that_are_there(config: &Config) -> (Config, Option<String>) {
     let DepthConfig::Monodepth2(network) = &config.depth else { return (config.clone(), None) };
     let cache = DepthCache::of(network);
     let depth = DepthConfig::Files { path: cache.map_template() };
-    (Config { depth, ..config.clone() }, cache.require(network).err().map(|error| error.to_string()))
+    (Config { depth, ..config.clone() }, cache.require(network, &[]).err().map(|error| error.to_string()))
 }
 
 fn describe(config: &Config, dataset: &Dataset, depth_problem: Option<String>) -> String {

@@ -86,10 +86,8 @@ fn prepare(arguments: &TrainDepthArguments, terminal: &Terminal) -> anyhow::Resu
         (None, DepthConfig::Monodepth2(network)) => network.weights.clone(),
         (None, _) => config.checkpoints.join(format!("{}_depth", config.name)),
     };
-    if !arguments.force {
-        // Found now rather than after data are rendered and read.
-        RunFolder::require_free(&out)?;
-    }
+    // Found now rather than after data are rendered and read.
+    DepthLearner::require_free(&out, arguments.force)?;
     synth::make_if_asked(&config, terminal)?;
     Ok(DepthLearner::start(config, &out, &device, arguments.force)?)
 }
@@ -106,9 +104,12 @@ fn observer(quiet: bool) -> impl FnMut(DepthEvent) {
             note(quiet, &format!("photometric loss before the first step: {initial_loss:.4}"));
         }
         DepthEvent::Batch { epoch, batch, loss, targets_per_second } => {
-            progress
-                .get_or_insert_with(|| Progress::new(quiet, &format!("epoch {epoch}"), batch - 1, per_epoch))
-                .set(batch, &format!("loss {loss:.4}, {targets_per_second:.1} images/s"));
+            progress.get_or_insert_with(|| Progress::new(quiet, &format!("epoch {epoch}"), batch - 1, per_epoch)).set(
+                batch,
+                &loss.map_or("skipped: an unreadable image".to_owned(), |loss| {
+                    format!("loss {loss:.4}, {targets_per_second:.1} images/s")
+                }),
+            );
             if batch == per_epoch {
                 progress = None;
             }

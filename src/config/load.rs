@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 
 use super::{
-    Config, DATA_ROOT_VARIABLE, DataConfig, DepthConfig, DepthTrainingConfig, TrainingConfig, default_cache_mb,
-    default_checkpoints,
+    Config, DATA_ROOT_VARIABLE, DataConfig, DepthConfig, DepthTrainingConfig, SystemConfig, SystemSource,
+    TrainingConfig, default_cache_mb, default_checkpoints,
 };
 use super::{default_device, default_max_bad_fraction, overrides};
 use crate::error::{Error, Place, Result};
@@ -52,6 +52,13 @@ impl Config {
             let name = network.weights.file_name().unwrap_or_default();
             network.cache = self.checkpoints.join("depth").join(name);
         }
+    }
+
+    /// The same drives with nothing but their true motions: every measured system replaced by the truth, and depth that
+    /// needs nothing.
+    pub(crate) fn with_truth_alone(&self) -> Self {
+        let truth = SystemConfig { name: "truth".to_owned(), share: 1.0, source: SystemSource::Truth {} };
+        Self { systems: vec![truth], depth: DepthConfig::default(), ..self.clone() }
     }
 
     /// Folder of this experiment's run.

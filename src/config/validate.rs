@@ -1,7 +1,7 @@
 //! What a configuration must satisfy beyond its types.
 
 use super::{Config, DepthConfig, DepthTrainingConfig, DriveConfig, MinLogVariance, NetworkDepthConfig};
-use crate::depth::monodepth2::SIZE_STEP;
+use crate::depth::monodepth2::{MOST_SIZE, SIZE_STEP, is_input_size};
 use crate::depth::{DepthRange, ScaleRule};
 use crate::error::{Error, Result};
 use crate::files::is_plain;
@@ -205,9 +205,8 @@ impl Config {
         let DepthTrainingConfig { width, height, batch, epochs, learning_rate, range_m, initial_depth_m, .. } =
             &self.depth_training;
         for (key, size) in [("width", *width), ("height", *height)] {
-            let fits = size % SIZE_STEP == 0 && (2 * SIZE_STEP..=8192).contains(&size);
-            require(fits, &format!("depth_training.{key}"), || {
-                format!("{size} is no multiple of {SIZE_STEP} from {} to 8192", 2 * SIZE_STEP)
+            require(is_input_size(size), &format!("depth_training.{key}"), || {
+                format!("{size} is no multiple of {SIZE_STEP} from {} to {MOST_SIZE}", 2 * SIZE_STEP)
             })?;
         }
         let per_epoch = self.depth_training.batches_per_epoch.unwrap_or(1);

@@ -22,6 +22,8 @@ use crate::synthetic::{SYSTEMS, is_synthetic};
 pub struct Dataset {
     /// Folder of the data.
     pub root: PathBuf,
+    /// What tells the depth maps of a network from those of another; none for other sources.
+    pub depth: Option<String>,
     /// Every drive named by a split, once.
     pub drives: Vec<Drive>,
     /// Names of the systems.
@@ -148,7 +150,8 @@ impl Dataset {
     pub fn load(config: &Config, scope: PairScope) -> Result<Self> {
         let network = if let DepthConfig::Monodepth2(network) = &config.depth { Some(network) } else { None };
         let network = network.filter(|_| scope == PairScope::Images);
-        network.map_or(Ok(()), |network| DepthCache::of(network).require(network))?;
+        // Before anything is read: the maps must be there, and be those of the configuration.
+        network.map_or(Ok(String::new()), |network| DepthCache::of(network).require(network, &[]))?;
         let mut pairing = Pairing::new(config, scope);
         let held_out = config.data.validation.is_empty() && config.training.watch == WatchedSplit::Validation;
         let mut coverage = Vec::new();
@@ -167,9 +170,12 @@ impl Dataset {
         let (train, validation) =
             if held_out { hold_out(train, config.data.validation_fraction) } else { (train, validation) };
         let systems = config.systems.len();
+        let drives = pairing.into_drives();
+        let depth = network.map(|network| DepthCache::of(network).require(network, &drives)).transpose()?;
         let dataset = Self {
             root: config.data.root.clone(),
-            drives: pairing.into_drives(),
+            drives,
+            depth,
             systems: config.systems.iter().map(|system| system.name.clone()).collect(),
             simulated: config.systems.iter().map(|system| is_simulated(config, system)).collect(),
             train: Split::new(SplitName::Train, train, systems),
@@ -267,6 +273,7 @@ impl Dataset {
     /// A hash of every pair and error: two runs compare only when it agrees.
     pub fn fingerprint(&self) -> String {
         let mut hash = Sha256::new();
+        self.depth.iter().for_each(|depth| hash.update(depth));
         for split in [&self.train, &self.validation, &self.test] {
             hash.update(split.name.name());
             for pair in &split.pairs {

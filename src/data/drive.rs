@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::calibration::Calibration;
+use super::image::{RgbImage, read_image};
 use super::oxts::{OxtsPacket, world_from_vehicle};
 use crate::error::{Error, Place, Result};
 use crate::files::read_text;
@@ -75,6 +76,38 @@ impl Drive {
             timestamps_s: load_timestamps(&folder, &mut problems),
             problems,
         })
+    }
+
+    /// Reads the left colour image of a frame.
+    ///
+    /// # Errors
+    /// The frame has none, or it cannot be decoded or has another size than the calibration says.
+    pub fn read_image(&self, frame: usize) -> Result<RgbImage> {
+        let missing = || Error::Data(format!("{}, frame {frame}: no image in image_02/data", self.name));
+        self.read_sized(self.images.get(&frame).ok_or_else(missing)?)
+    }
+
+    /// The same of the right camera.
+    ///
+    /// # Errors
+    /// As [`Drive::read_image`].
+    pub fn read_right_image(&self, frame: usize) -> Result<RgbImage> {
+        let missing = || Error::Data(format!("{}, frame {frame}: no image in image_03/data", self.name));
+        self.read_sized(self.right_images.get(&frame).ok_or_else(missing)?)
+    }
+
+    fn read_sized(&self, path: &Path) -> Result<RgbImage> {
+        let image = read_image(path)?;
+        let expected = &self.calibration.camera2;
+        if (image.width, image.height) != (expected.width, expected.height) {
+            return Err(Error::malformed(
+                path,
+                Place::Whole,
+                format!("{}x{} pixels", image.width, image.height),
+                format!("{}x{} as in calib_cam_to_cam.txt (S_rect)", expected.width, expected.height),
+            ));
+        }
+        Ok(image)
     }
 
     /// The recording date, `2011_09_30`.

@@ -12,10 +12,10 @@ use quick_cache::sync::Cache;
 
 use super::dataset::{Dataset, Pair, PairId, SplitName};
 use super::drive::Drive;
-use super::image::{RgbImage, read_image};
+use super::image::RgbImage;
 use crate::config::{Config, DepthConfig};
 use crate::depth::{DepthMap, load_depth};
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Result};
 use crate::geometry::{Pinhole, Pose, Tangent};
 
 /// A pair ready for the network.
@@ -177,22 +177,12 @@ impl PairReader {
         if let Some(Frame::Image(image)) = self.frames.get(&key) {
             return Ok(image);
         }
-        let (drive, path) = match key {
-            FrameKey::RightImage(drive, frame) => (drive, &self.drives[drive].right_images[&frame]),
+        let (drive, image) = match key {
+            FrameKey::RightImage(drive, frame) => (drive, self.drives[drive].read_right_image(frame)?),
             FrameKey::Image(drive, frame) | FrameKey::Depth(drive, frame) => {
-                (drive, &self.drives[drive].images[&frame])
+                (drive, self.drives[drive].read_image(frame)?)
             }
         };
-        let image = read_image(path)?;
-        let expected = &self.drives[drive].calibration.camera2;
-        if (image.width, image.height) != (expected.width, expected.height) {
-            return Err(Error::malformed(
-                path,
-                Place::Whole,
-                format!("{}x{} pixels", image.width, image.height),
-                format!("{}x{} as in calib_cam_to_cam.txt (S_rect)", expected.width, expected.height),
-            ));
-        }
         let camera = &self.cameras[drive];
         let image = Arc::new(image.resized(camera.width, camera.height));
         self.frames.insert(key, Frame::Image(image.clone()));

@@ -6,13 +6,15 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::estimator::weight_hashes;
+use super::files::is_whole_png;
 use super::{DepthEstimator, DepthMap, ScaleRule, ScaleScope, read_depth_png};
 use crate::config::NetworkDepthConfig;
 use crate::data::Drive;
 use crate::error::{Error, Place, Result};
-use crate::files::{read_text, write_atomically};
+use crate::files::{read_text, sha256_hex, write_atomically};
 
-const MANIFEST: &str = "manifest.json";
+/// A name of its own: run folders have a manifest.json, and a cache can be cleared.
+const MANIFEST: &str = "depth_cache.json";
 const SCHEMA: u32 = 1;
 
 /// A folder of depth maps: `DATE/DRIVE/FRAME.png`, metres x 256, at the network's size.
@@ -31,9 +33,12 @@ pub(super) struct CacheManifest {
     /// Width and height of the maps, px.
     size: [usize; 2],
     scale: ScaleRule,
+    /// The rule these weights call for, taken where the configuration names none.
+    default_scale: ScaleRule,
     scope: ScaleScope,
-    /// The factor of each sequence, for frames without a scan or by the scope.
-    #[serde(default)]
+    /// For each drive, a hash of its calibration and first image: another drive of the same name has other depth.
+    drives: BTreeMap<String, String>,
+    /// The factor of each sequence that has been needed and has scans: its mean.
     pub sequence_factors: BTreeMap<String, f64>,
 }
 
@@ -44,9 +49,30 @@ impl CacheManifest {
             weights: estimator.hashes.clone(),
             size: [estimator.width, estimator.height],
             scale: config.scale.unwrap_or(estimator.default_scale),
+            default_scale: estimator.default_scale,
             scope: config.scope,
+            drives: BTreeMap::new(),
             sequence_factors: BTreeMap::new(),
         }
+    }
+
+    /// Notes which drives the maps are of.
+    ///
+    /// # Errors
+    /// A drive is not the one whose maps are there.
+    pub fn add_drives(&mut self, drives: &[Drive], folder: &Path) -> Result<()> {
+        for drive in drives {
+            let found = self.drives.entry(drive.name.clone()).or_insert_with(|| drive_hash(drive)).clone();
+            if found != drive_hash(drive) {
+                return Err(other_drive(drive, folder));
+            }
+        }
+        Ok(())
+    }
+
+    /// What tells one set of maps from another.
+    pub fn fingerprint(&self) -> String {
+        format!("{:?}", (&self.weights, self.size, self.scale, self.scope))
     }
 
     pub fn scale(&self) -> ScaleRule {
@@ -92,24 +118,30 @@ impl DepthCache {
         self.folder.join(drive.date()).join(&drive.name).join(format!("{frame:010}.png"))
     }
 
+    /// Whether a frame's map is there, from beginning to end.
+    pub(super) fn holds(&self, drive: &Drive, frame: usize) -> bool {
+        is_whole_png(&self.map_path(drive, frame))
+    }
+
     /// Reads a frame's map, m.
     ///
     /// # Errors
     /// It is not there, or damaged.
     pub fn load(&self, drive: &Drive, frame: usize) -> Result<DepthMap> {
         let path = self.map_path(drive, frame);
-        if !path.is_file() {
-            let problem = "no depth map of this frame; `relcov depth --config …` makes those that are missing";
+        if !self.holds(drive, frame) {
+            let problem = "no whole depth map of this frame; `relcov depth --config …` makes those that are missing";
             return Err(Error::Data(format!("{}: {problem}", path.display())));
         }
         read_depth_png(&path)
     }
 
-    /// That the cache is there and was made by the configured weights and settings.
+    /// That the cache is there and was made of these drives by the configured weights and settings. Returns what tells
+    /// its maps from others.
     ///
     /// # Errors
     /// It is missing or stale; the message says what differs and how to renew it.
-    pub fn require(&self, config: &NetworkDepthConfig) -> Result<()> {
+    pub fn require(&self, config: &NetworkDepthConfig, drives: &[Drive]) -> Result<String> {
         let Some(manifest) = self.manifest()? else {
             return Err(Error::config(
                 "depth.source",
@@ -124,13 +156,15 @@ impl DepthCache {
             tracing::warn!("the depth cache's weights are not checked: {error}");
             manifest.weights.clone()
         });
-        let wanted = CacheManifest {
-            weights,
-            scale: config.scale.unwrap_or(manifest.scale),
-            scope: config.scope,
-            ..manifest.clone()
-        };
-        self.refuse_other(&manifest, &wanted)
+        let scale = config.scale.unwrap_or(manifest.default_scale);
+        let wanted = CacheManifest { weights, scale, scope: config.scope, ..manifest.clone() };
+        self.refuse_other(&manifest, &wanted)?;
+        let other =
+            drives.iter().find(|drive| manifest.drives.get(&drive.name).is_some_and(|hash| *hash != drive_hash(drive)));
+        match other {
+            Some(drive) => Err(other_drive(drive, &self.folder)),
+            None => Ok(manifest.fingerprint()),
+        }
     }
 
     /// The manifest to go on with: that of the folder if it is the wanted one, else a new one.
@@ -142,15 +176,23 @@ impl DepthCache {
             self.refuse_other(&manifest, &wanted)?;
             return Ok(manifest);
         }
-        let foreign = self.folder.read_dir().is_ok_and(|mut entries| entries.next().is_some());
-        if foreign {
-            return Err(Error::config(
-                "depth.cache",
-                format!("{} holds something else; name a new or empty folder", self.folder.display()),
-            ));
-        }
-        self.write(&wanted)?;
+        self.refuse_foreign()?;
         Ok(wanted)
+    }
+
+    /// That the folder is a cache, or holds nothing.
+    ///
+    /// # Errors
+    /// It holds something else.
+    pub(super) fn refuse_foreign(&self) -> Result<()> {
+        let foreign = self.folder.read_dir().is_ok_and(|mut entries| entries.next().is_some());
+        if !foreign || self.folder.join(MANIFEST).is_file() {
+            return Ok(());
+        }
+        Err(Error::config(
+            "depth.cache",
+            format!("{} holds something else; name a new or empty folder", self.folder.display()),
+        ))
     }
 
     pub(super) fn write(&self, manifest: &CacheManifest) -> Result<()> {
@@ -159,19 +201,29 @@ impl DepthCache {
         write_atomically(&self.folder.join(MANIFEST), json.as_bytes())
     }
 
-    /// Removes the maps of a cache, and nothing that is not one.
+    /// Removes a cache's maps and manifest, and nothing else.
     ///
     /// # Errors
-    /// The folder is no cache, or cannot be removed.
-    pub fn clear(&self) -> Result<()> {
-        if !self.folder.exists() {
-            return Ok(());
+    /// The folder holds something else than a cache, or a file cannot be removed.
+    pub(super) fn clear(&self) -> Result<()> {
+        self.refuse_foreign()?;
+        let folders = |path: &Path| -> Vec<PathBuf> {
+            let entries = path.read_dir().into_iter().flatten().filter_map(|entry| Some(entry.ok()?.path()));
+            entries.filter(|path| path.is_dir()).collect()
+        };
+        for date in folders(&self.folder) {
+            for drive in folders(&date) {
+                let files = drive.read_dir().into_iter().flatten().filter_map(|entry| Some(entry.ok()?.path()));
+                for map in files.filter(|path| is_map(path)) {
+                    std::fs::remove_file(&map).map_err(Error::io("remove", &map))?;
+                }
+                // Not empty: someone keeps other files there.
+                let _ = std::fs::remove_dir(&drive);
+            }
+            let _ = std::fs::remove_dir(&date);
         }
-        if !self.folder.join(MANIFEST).is_file() {
-            let problem = format!("{} is no depth cache; it stays as it is", self.folder.display());
-            return Err(Error::config("depth.cache", problem));
-        }
-        std::fs::remove_dir_all(&self.folder).map_err(Error::io("remove", &self.folder))
+        let manifest = self.folder.join(MANIFEST);
+        if manifest.exists() { std::fs::remove_file(&manifest).map_err(Error::io("remove", &manifest)) } else { Ok(()) }
     }
 
     fn refuse_other(&self, found: &CacheManifest, wanted: &CacheManifest) -> Result<()> {
@@ -196,5 +248,55 @@ impl DepthCache {
             let expected = "what `relcov depth` of this version writes; --force renews the cache";
             Error::malformed(&path, Place::Whole, error.to_string(), expected)
         })
+    }
+}
+
+/// A map's name: ten digits, and what a killed command leaves of one.
+fn is_map(path: &Path) -> bool {
+    let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+    let (frame, extension) = name.split_once('.').unwrap_or((name, ""));
+    frame.len() == 10
+        && frame.bytes().all(|byte| byte.is_ascii_digit())
+        && (extension == "png" || extension.starts_with("png.") && extension.ends_with(".partial"))
+}
+
+fn drive_hash(drive: &Drive) -> String {
+    let first = drive.images.values().next().and_then(|path| std::fs::read(path).ok()).unwrap_or_default();
+    let mut bytes = format!("{:?}", drive.calibration).into_bytes();
+    bytes.extend(first);
+    sha256_hex(&bytes)
+}
+
+fn other_drive(drive: &Drive, folder: &Path) -> Error {
+    Error::config(
+        "depth.cache",
+        format!(
+            "the maps of {} in {} are of another drive of that name (its calibration or first image differs): other data; name another depth.cache, or renew the maps with: relcov depth --force --config … (and the same --set)",
+            drive.name,
+            folder.display()
+        ),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn clearing_takes_maps_and_leaves_everything_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let cache = DepthCache { folder: folder.path().to_owned() };
+        let drive = folder.path().join("2026_01_01/drive");
+        std::fs::create_dir_all(&drive).unwrap();
+        for name in ["0000000003.png", "0000000004.png.77.partial", "notes.txt"] {
+            std::fs::write(drive.join(name), "x").unwrap();
+        }
+        let message = cache.clear().unwrap_err().to_string();
+        assert!(message.contains("holds something else"), "{message}");
+        std::fs::write(folder.path().join(MANIFEST), "{}").unwrap();
+        cache.clear().unwrap();
+        let left: Vec<_> = drive.read_dir().unwrap().map(|entry| entry.unwrap().file_name()).collect();
+        assert_eq!(left, ["notes.txt"]);
+        assert!(!folder.path().join(MANIFEST).exists());
     }
 }

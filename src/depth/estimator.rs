@@ -6,7 +6,7 @@ use burn::store::{ModuleSnapshot, SafetensorsStore};
 use burn::tensor::{Device, Tensor, TensorData};
 use serde::{Deserialize, Serialize};
 
-use super::monodepth2::{Monodepth2, PublishedWeights, SIZE_STEP, disparity_to_depth};
+use super::monodepth2::{Monodepth2, PublishedWeights, disparity_to_depth, is_input_size};
 use super::{DepthMap, ScaleRule};
 use crate::data::RgbImage;
 use crate::error::{Error, Place, Result};
@@ -97,10 +97,17 @@ impl DepthEstimator {
     pub fn load(folder: &Path, device: &Device) -> Result<Self> {
         // A frozen network has no gradients.
         let device = device.clone().inner();
-        if folder.join(METRIC_MANIFEST).is_file() {
+        let (metric, published) = (holds_metric_weights(folder), holds_published_weights(folder));
+        if metric && published {
+            return Err(Error::Data(format!(
+                "{}: two depth networks there, a published one and one that `relcov train-depth` made; keep each in a folder of its own",
+                folder.display()
+            )));
+        }
+        if metric {
             return Self::load_metric(folder, device);
         }
-        if PUBLISHED.iter().all(|file| !folder.join(file).is_file()) {
+        if !published {
             return Err(Error::Data(format!(
                 "{}: no depth network there; expected encoder.pth and depth.pth as published by Monodepth2, or a folder that `relcov train-depth` made; docs/depth.md says where to get weights, and how to do without",
                 folder.display()
@@ -127,7 +134,7 @@ impl DepthEstimator {
         let malformed = |found: String| Error::malformed(&path, Place::Whole, found, expected);
         let MetricManifest { schema, width, height, range_m } =
             serde_json::from_str(&read_text(&path)?).map_err(|error| malformed(error.to_string()))?;
-        let sizes = [width, height].iter().all(|size| *size >= 2 * SIZE_STEP && size % SIZE_STEP == 0);
+        let sizes = is_input_size(width) && is_input_size(height);
         if schema != 1 || !sizes || !(range_m.min > 0.0 && range_m.max > range_m.min) {
             return Err(malformed(format!("schema {schema}, {width}x{height}, {range_m:?}")));
         }
@@ -190,13 +197,7 @@ impl DepthEstimator {
     /// # Errors
     /// The image's aspect is so different that the network would see another world.
     pub fn prepare(&self, image: RgbImage) -> Result<RgbImage> {
-        let squeeze = (image.width * self.height) as f64 / (image.height * self.width) as f64;
-        if !(1.0 / MOST_SQUEEZE..=MOST_SQUEEZE).contains(&squeeze) {
-            return Err(Error::Data(format!(
-                "an image of {}x{} pixels is squeezed {squeeze:.2} times to fit the depth network's {}x{}; crop it to that aspect, or take a network trained at its own",
-                image.width, image.height, self.width, self.height
-            )));
-        }
+        require_aspect([image.width, image.height], [self.width, self.height])?;
         Ok(match self.weights {
             Weights::Published => image.resized_sharply(self.width, self.height),
             Weights::Metric => image.resized(self.width, self.height),
@@ -234,9 +235,34 @@ impl DepthEstimator {
     }
 }
 
+/// That an image keeps its look when it is brought to a network's size.
+///
+/// # Errors
+/// The aspects differ too much.
+pub(crate) fn require_aspect(image: [usize; 2], network: [usize; 2]) -> Result<()> {
+    let squeeze = (image[0] * network[1]) as f64 / (image[1] * network[0]) as f64;
+    if (1.0 / MOST_SQUEEZE..=MOST_SQUEEZE).contains(&squeeze) {
+        return Ok(());
+    }
+    Err(Error::Data(format!(
+        "an image of {}x{} pixels is squeezed {squeeze:.2} times to fit the depth network's {}x{}; crop it to that aspect, or take a network trained at its own",
+        image[0], image[1], network[0], network[1]
+    )))
+}
+
+/// Whether a folder holds published weights, or a part of them.
+pub(crate) fn holds_published_weights(folder: &Path) -> bool {
+    PUBLISHED.iter().any(|file| folder.join(file).is_file())
+}
+
+/// Whether a folder holds weights that were trained here.
+pub(crate) fn holds_metric_weights(folder: &Path) -> bool {
+    folder.join(METRIC_MANIFEST).is_file()
+}
+
 /// Name and SHA-256 of each file of a folder's weights.
 pub(super) fn weight_hashes(folder: &Path) -> Result<Vec<(String, String)>> {
-    let files: &[&str] = if folder.join(METRIC_MANIFEST).is_file() { &[METRIC_WEIGHTS] } else { &PUBLISHED };
+    let files: &[&str] = if holds_metric_weights(folder) { &[METRIC_WEIGHTS] } else { &PUBLISHED };
     let hash = |file: &&str| {
         let path = folder.join(file);
         let bytes = std::fs::read(&path).map_err(Error::io("read", &path))?;

@@ -1,6 +1,6 @@
 //! Depth maps on disk: 16-bit PNG, metres x 256, 0 = unknown (KITTI's own format).
 
-use std::io::Cursor;
+use std::io::{Cursor, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use image::{DynamicImage, ImageBuffer, ImageFormat, Luma};
@@ -12,6 +12,10 @@ use crate::files::write_atomically;
 
 /// Steps of a metre in a depth PNG.
 const STEPS_PER_METRE: f32 = 256.0;
+/// The farthest depth that the format holds, m.
+pub(super) const FARTHEST_M: f32 = u16::MAX as f32 / STEPS_PER_METRE;
+/// What every whole PNG ends with.
+const PNG_END: &[u8; 12] = b"\0\0\0\0IEND\xAE\x42\x60\x82";
 
 /// Path of a frame's depth map from a template below `root`.
 pub(super) fn depth_path(template: &str, drive: &Drive, frame: usize, root: &Path) -> PathBuf {
@@ -37,6 +41,18 @@ pub fn read_depth_png(path: &Path) -> Result<DepthMap> {
     };
     let depth_m = image.pixels().map(|pixel| f32::from(pixel.0[0]) / STEPS_PER_METRE).collect();
     Ok(DepthMap { width: image.width() as usize, height: image.height() as usize, depth_m })
+}
+
+/// Whether a PNG is there from beginning to end.
+pub(super) fn is_whole_png(path: &Path) -> bool {
+    let ends_well = || -> std::io::Result<bool> {
+        let mut file = std::fs::File::open(path)?;
+        file.seek(SeekFrom::End(-(PNG_END.len() as i64)))?;
+        let mut end = [0; PNG_END.len()];
+        file.read_exact(&mut end)?;
+        Ok(end == *PNG_END)
+    };
+    ends_well().unwrap_or(false)
 }
 
 /// Writes a depth PNG; depths beyond the format's 255.99 m become unknown.

@@ -64,24 +64,28 @@ fn nearest_along_image(sparse: &DepthMap, image: &RgbImage, radius_px: usize) ->
 
 /// Gauss-Seidel in checkerboard order, so that neither direction is favoured.
 fn interpolated_within_surfaces(sparse: &DepthMap, nearest: DepthMap) -> DepthMap {
-    let DepthMap { width, height, mut depth_m } = nearest;
+    let DepthMap { width, height, depth_m } = &nearest;
+    let (width, height) = (*width, *height);
     let one_surface = |a: f32, b: f32| a > 0.0 && b > 0.0 && a < SURFACE_FACTOR * b && b < SURFACE_FACTOR * a;
-    let free: Vec<(usize, Vec<usize>)> = (0..depth_m.len())
-        .filter(|&pixel| sparse.depth_m[pixel] == 0.0 && depth_m[pixel] > 0.0)
-        .map(|pixel| {
-            let linked = neighbours(pixel, width, height).filter(|&other| one_surface(depth_m[pixel], depth_m[other]));
-            (pixel, linked.collect())
-        })
-        .collect();
-    let is_even = |pixel: usize| (pixel % width + pixel / width).is_multiple_of(2);
-    let (even, odd): (Vec<_>, Vec<_>) = free.into_iter().partition(|&(pixel, _)| is_even(pixel));
+    let free: Vec<usize> =
+        (0..depth_m.len()).filter(|&pixel| sparse.depth_m[pixel] == 0.0 && depth_m[pixel] > 0.0).collect();
+    let (even, odd): (Vec<usize>, Vec<usize>) =
+        free.into_iter().partition(|pixel| (pixel % width + pixel / width).is_multiple_of(2));
+    let linked = |pixel: usize| {
+        let surface = depth_m[pixel];
+        neighbours(pixel, width, height).filter(move |&other| one_surface(surface, depth_m[other]))
+    };
     let mut inverse: Vec<f32> = depth_m.iter().map(|&depth| if depth > 0.0 { depth.recip() } else { 0.0 }).collect();
     for _ in 0..ROUNDS {
-        for (pixel, linked) in even.iter().chain(&odd).filter(|(_, linked)| !linked.is_empty()) {
-            inverse[*pixel] = linked.iter().map(|&other| inverse[other]).sum::<f32>() / linked.len() as f32;
+        for &pixel in even.iter().chain(&odd) {
+            let (sum, count) = linked(pixel).fold((0.0, 0), |(sum, count), other| (sum + inverse[other], count + 1));
+            if count > 0 {
+                inverse[pixel] = sum / count as f32;
+            }
         }
     }
-    for (pixel, _) in even.into_iter().chain(odd) {
+    let mut depth_m = depth_m.clone();
+    for pixel in even.into_iter().chain(odd) {
         depth_m[pixel] = inverse[pixel].recip();
     }
     DepthMap { width, height, depth_m }

@@ -9,17 +9,18 @@ use super::{
     DepthMap, DepthScores, ScaleRule, files, fill_gaps, native_depth, project_scan, read_depth_png, read_scan,
 };
 use crate::config::{Config, DepthConfig};
-use crate::data::{Drive, read_image};
+use crate::data::Drive;
 use crate::depth::FrameId;
 use crate::error::Result;
 
 /// Frames that are read at once.
 const BATCH: usize = 16;
 
-/// LiDAR cannot be judged by returns it was filled from: beams of every fourth band of this elevation, about one
-/// ring of KITTI's scanner, are left out and judged.
+/// LiDAR cannot be judged by returns it was filled from: of every so many degrees of elevation a band, about one ring of
+/// KITTI's scanner, is left out and judged, and its borders are left out and not judged, so that no ring is in both.
+const PERIOD_DEG: f32 = 1.6;
 const BAND_DEG: f32 = 0.4;
-const BANDS: i32 = 4;
+const GUARD_DEG: f32 = 0.15;
 
 /// A depth source and what it is judged by.
 pub struct DepthJudge<'a> {
@@ -28,6 +29,7 @@ pub struct DepthJudge<'a> {
     root: PathBuf,
     /// Size at which LiDAR maps are filled, px.
     size: [usize; 2],
+    max_bad_fraction: f64,
 }
 
 /// Scores of each frame that has a true depth.
@@ -37,22 +39,25 @@ pub struct JudgedDepth {
     pub scores: Vec<DepthScores>,
     /// Of the maps brought to the truth's median, as monocular depth is compared.
     pub median_scaled: Vec<DepthScores>,
-    /// Frames without a scan or true map, or whose truth has no pixel that is judged.
+    /// Frames without a scan or true map, or none of whose true pixels is judged.
     pub without_truth: usize,
+    /// Frames whose image, depth or truth cannot be read.
+    pub unreadable: usize,
 }
 
 impl<'a> DepthJudge<'a> {
     /// `truth`: a path below `data.root` with `{date}`, `{drive}` and `{frame}`; without one, the LiDAR's scans.
     pub fn new(config: &'a Config, truth: Option<&'a str>) -> Self {
         let size = [config.model.width, config.model.height];
-        Self { depth: &config.depth, truth, root: config.data.root.clone(), size }
+        let max_bad_fraction = config.data.max_bad_fraction;
+        Self { depth: &config.depth, truth, root: config.data.root.clone(), size, max_bad_fraction }
     }
 
     /// What is taken for true, in words.
     pub fn truth_name(&self) -> String {
         match (self.truth, self.depth) {
             (Some(path), _) => format!("files {path}"),
-            (None, DepthConfig::Lidar { .. }) => "every fourth LiDAR ring, left out of the maps".to_owned(),
+            (None, DepthConfig::Lidar { .. }) => "a quarter of the LiDAR's rings, left out of the maps".to_owned(),
             (None, _) => "LiDAR returns".to_owned(),
         }
     }
@@ -60,21 +65,26 @@ impl<'a> DepthJudge<'a> {
     /// Scores frame by frame.
     ///
     /// # Errors
-    /// A frame's image, depth or truth is malformed.
+    /// More frames cannot be read than `data.max_bad_fraction` allows.
     pub fn scores(&self, drives: &[Drive], frames: &[FrameId], observe: &mut dyn FnMut(usize)) -> Result<JudgedDepth> {
         let mut judged = JudgedDepth::default();
         for (batch, frames_of_batch) in frames.chunks(BATCH).enumerate() {
-            let scores: Vec<Option<[DepthScores; 2]>> = frames_of_batch
-                .par_iter()
-                .map(|&(drive, frame)| self.score(&drives[drive], frame))
-                .collect::<Result<_>>()?;
+            let scores: Vec<Result<Option<[DepthScores; 2]>>> =
+                frames_of_batch.par_iter().map(|&(drive, frame)| self.score(&drives[drive], frame)).collect();
             for scores in scores {
                 match scores {
-                    Some([as_it_is, median_scaled]) => {
+                    Ok(Some([as_it_is, median_scaled])) => {
                         judged.scores.push(as_it_is);
                         judged.median_scaled.push(median_scaled);
                     }
-                    None => judged.without_truth += 1,
+                    Ok(None) => judged.without_truth += 1,
+                    Err(error) => {
+                        tracing::warn!("not judged: {error}");
+                        judged.unreadable += 1;
+                        if judged.unreadable as f64 > self.max_bad_fraction * frames.len() as f64 {
+                            return Err(error);
+                        }
+                    }
                 }
             }
             observe((batch * BATCH + frames_of_batch.len()).min(frames.len()));
@@ -88,7 +98,7 @@ impl<'a> DepthJudge<'a> {
             (None, DepthConfig::Lidar { fill_radius_px }) => self.with_rings_left_out(drive, frame, *fill_radius_px)?,
             _ => match self.true_depth(drive, frame)? {
                 Some(truth) => {
-                    let image = read_image(&drive.images[&frame])?;
+                    let image = drive.read_image(frame)?;
                     Some((native_depth(self.depth, drive, frame, &self.root, camera, &image)?, truth))
                 }
                 None => None,
@@ -96,7 +106,7 @@ impl<'a> DepthJudge<'a> {
         };
         let Some((depth, truth)) = judged else { return Ok(None) };
         let Some(scores) = DepthScores::of_image(&depth, &truth) else { return Ok(None) };
-        let factor = ScaleRule::Median.factor(&depth, &truth, camera)?;
+        let Ok(factor) = ScaleRule::Median.factor(&depth, &truth, camera) else { return Ok(None) };
         Ok(DepthScores::of_image(&depth.scaled(factor), &truth).map(|median_scaled| [scores, median_scaled]))
     }
 
@@ -120,12 +130,14 @@ impl<'a> DepthJudge<'a> {
         let Some(scan) = drive.scans.get(&frame) else { return Ok(None) };
         let [width, height] = self.size;
         let camera = drive.calibration.camera2.resized(width, height);
-        let image = read_image(&drive.images[&frame])?.resized(width, height);
-        let left_out = |point: &Vector3<f32>| {
-            let elevation_deg = (point.z / point.xy().norm()).atan().to_degrees();
-            ((elevation_deg / BAND_DEG).floor() as i32).rem_euclid(BANDS) == 0
-        };
-        let (truth, kept): (Vec<Vector3<f32>>, _) = read_scan(scan)?.into_iter().partition(left_out);
+        let image = drive.read_image(frame)?.resized(width, height);
+        let place_in_period_deg =
+            |point: &Vector3<f32>| (point.z / point.xy().norm()).atan().to_degrees().rem_euclid(PERIOD_DEG);
+        let (truth, rest): (Vec<Vector3<f32>>, Vec<Vector3<f32>>) =
+            read_scan(scan)?.into_iter().partition(|point| place_in_period_deg(point) < BAND_DEG);
+        let kept_deg = BAND_DEG + GUARD_DEG..PERIOD_DEG - GUARD_DEG;
+        let kept: Vec<Vector3<f32>> =
+            rest.into_iter().filter(|point| kept_deg.contains(&place_in_period_deg(point))).collect();
         let project = |points: &[Vector3<f32>]| project_scan(points, &drive.calibration.camera2_from_velodyne, &camera);
         Ok(Some((fill_gaps(&project(&kept), &image, radius_px), project(&truth))))
     }

@@ -43,6 +43,12 @@ impl DepthMap {
         self
     }
 
+    /// The map with depths beyond `most_m` brought back to it.
+    pub fn bounded(mut self, most_m: f32) -> Self {
+        self.depth_m.iter_mut().for_each(|depth| *depth = depth.min(most_m));
+        self
+    }
+
     /// Column, row and depth of every pixel with a known depth.
     pub fn known(&self) -> impl Iterator<Item = (usize, usize, f32)> {
         let pixels = self.depth_m.iter().enumerate().filter(|(_, depth)| **depth > 0.0);

@@ -18,6 +18,7 @@ mod source;
 
 pub use cache::DepthCache;
 pub use estimator::{DepthEstimator, DepthRange};
+pub(crate) use estimator::{holds_metric_weights, holds_published_weights, require_aspect};
 pub(crate) use files::encode_depth_png;
 pub use files::{read_depth_png, write_depth_png};
 pub use fill::fill_gaps;
@@ -25,7 +26,7 @@ pub use ground_plane::ground_plane_depth;
 pub use judge::{DepthJudge, JudgedDepth};
 pub use lidar::{project_scan, read_scan};
 pub use map::DepthMap;
-pub use precompute::{FrameId, PrecomputeSummary, precompute};
+pub use precompute::{FrameId, PrecomputeSummary, Present, precompute};
 pub use scale::{ScaleRule, ScaleScope};
 pub use scores::DepthScores;
 pub use source::{has_depth, load_depth, native_depth};

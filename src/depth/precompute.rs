@@ -1,18 +1,21 @@
 //! Runs a depth network over the frames of an experiment and keeps its maps: each once, in batches, with images
 //! decoded ahead and maps written in parallel. Memory holds a few batches, however many frames there are.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::mpsc::sync_channel;
 
 use rayon::ThreadPoolBuilder;
 use rayon::prelude::*;
 
 use super::cache::CacheManifest;
+use super::estimator::require_aspect;
+use super::files::FARTHEST_M;
 use super::{DepthCache, DepthEstimator, DepthMap, ScaleRule, ScaleScope, encode_depth_png, project_scan, read_scan};
 use crate::config::NetworkDepthConfig;
-use crate::data::{Drive, RgbImage, read_image};
+use crate::data::{Drive, RgbImage};
 use crate::error::{Error, Result};
 use crate::files::write_renamed;
+use crate::geometry::Pinhole;
 
 /// Frames that go through the network at once.
 const BATCH: usize = 4;
@@ -32,16 +35,27 @@ pub struct PrecomputeSummary {
     pub by_own_scan: usize,
     /// Of the maps made, those scaled by the factor of their sequence.
     pub by_sequence: usize,
-    /// Sequences without a usable scan, which took the mean factor of the others.
+    /// Sequences without a usable scan that needed a factor.
     pub borrowed: Vec<String>,
     /// Frames whose image cannot be read, and why; they have no map.
     pub unreadable: Vec<String>,
-    /// Mean factor of each sequence.
+    /// Mean factor of each sequence that was needed and has scans.
     pub sequence_factors: BTreeMap<String, f64>,
+    /// What the sequences without take.
+    pub borrowed_factor: Option<f64>,
 }
 
 /// A frame of a drive, by their indices.
 pub type FrameId = (usize, usize);
+
+/// What happens to maps that are there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Present {
+    /// They stay, if they were made by the same weights and settings.
+    Keep,
+    /// They are removed once the new ones can be made.
+    Replace,
+}
 
 /// Makes the maps that a cache lacks.
 ///
@@ -49,48 +63,74 @@ pub type FrameId = (usize, usize);
 /// call goes on from there. Frames whose image cannot be read have no map.
 ///
 /// # Errors
-/// The cache was made otherwise or cannot be written, no scale can be found, or more than `max_bad_fraction` of the
-/// frames cannot be read.
+/// The cache was made otherwise or cannot be written, the images have another aspect than the network, no scale can be
+/// found, or more than `max_bad_fraction` of the frames cannot be read.
 pub fn precompute(
     estimator: &DepthEstimator,
     config: &NetworkDepthConfig,
     drives: &[Drive],
     frames: &[FrameId],
     max_bad_fraction: f64,
+    present: Present,
     observe: &mut dyn FnMut(usize, usize) -> Result<()>,
 ) -> Result<PrecomputeSummary> {
+    for Drive { name, calibration, .. } in drives {
+        let Pinhole { width, height, .. } = calibration.camera2;
+        let named = |error: Error| Error::Data(format!("{name}: {error}"));
+        require_aspect([width, height], [estimator.width, estimator.height]).map_err(named)?;
+    }
     let cache = DepthCache::of(config);
-    let mut manifest = cache.begin(CacheManifest::new(estimator, config))?;
-    let missing: Vec<FrameId> =
-        frames.iter().copied().filter(|&(drive, frame)| !cache.map_path(&drives[drive], frame).is_file()).collect();
+    let wanted = CacheManifest::new(estimator, config);
+    let mut manifest = match present {
+        Present::Keep => cache.begin(wanted)?,
+        Present::Replace => cache.refuse_foreign().map(|()| wanted)?,
+    };
+    manifest.add_drives(drives, cache.folder())?;
+    let is_missing = |&(drive, frame): &FrameId| present == Present::Replace || !cache.holds(&drives[drive], frame);
+    let missing: Vec<FrameId> = frames.iter().copied().filter(is_missing).collect();
     let mut summary = PrecomputeSummary { kept: frames.len() - missing.len(), ..PrecomputeSummary::default() };
     let max_bad_frames = max_bad_fraction * frames.len() as f64;
     let run = NetworkRun { estimator, drives, rule: manifest.scale(), max_bad_frames };
-    run.find_sequence_factors(&missing, &mut manifest, &mut summary)?;
+    let mut factors = SequenceFactors::new(&run, std::mem::take(&mut manifest.sequence_factors));
+    let has_own_scan =
+        |&(drive, frame): &FrameId| config.scope == ScaleScope::Frame && drives[drive].scans.contains_key(&frame);
+    // Found now rather than after hours: whether there is a scale at all.
+    for id in missing.iter().filter(|id| !has_own_scan(id)) {
+        factors.of(id.0)?;
+    }
+    if present == Present::Replace {
+        cache.clear()?;
+    }
+    manifest.sequence_factors.clone_from(&factors.measured);
     cache.write(&manifest)?;
-    summary.sequence_factors.clone_from(&manifest.sequence_factors);
     for drive in drives {
         let folder = cache.map_path(drive, 0).parent().expect("a map lies in a folder").to_owned();
         std::fs::create_dir_all(&folder).map_err(Error::io("create the folder", &folder))?;
     }
     let total = missing.len();
-    let unreadable = run.for_each_batch(&missing, |maps| {
-        let scaled: Vec<(FrameId, DepthMap)> = maps
-            .into_iter()
-            .map(|map| {
-                let own = (config.scope == ScaleScope::Frame).then(|| run.own_factor(&map)).flatten();
-                *(if own.is_some() { &mut summary.by_own_scan } else { &mut summary.by_sequence }) += 1;
-                let of_sequence = || manifest.sequence_factors[&drives[map.id.0].name];
-                (map.id, map.depth.scaled(own.unwrap_or_else(of_sequence)))
-            })
-            .collect();
+    let scans = if config.scope == ScaleScope::Frame { Scans::Read } else { Scans::Leave };
+    summary.unreadable = run.for_each_batch(&missing, scans, |maps| {
+        let mut scaled = Vec::with_capacity(maps.len());
+        for map in maps {
+            let own = if config.scope == ScaleScope::Frame { run.own_factor(&map) } else { None };
+            *(if own.is_some() { &mut summary.by_own_scan } else { &mut summary.by_sequence }) += 1;
+            let factor = own.map_or_else(|| factors.of(map.id.0), Ok)?;
+            // What lies beyond the format is far, not unknown.
+            scaled.push((map.id, map.depth.scaled(factor).bounded(FARTHEST_M)));
+        }
         scaled.par_iter().try_for_each(|((drive, frame), map)| {
             write_renamed(&cache.map_path(&drives[*drive], *frame), &encode_depth_png(map))
         })?;
         summary.made += scaled.len();
         observe(summary.made, total)
     })?;
-    summary.unreadable = unreadable;
+    if factors.measured != manifest.sequence_factors {
+        manifest.sequence_factors.clone_from(&factors.measured);
+        cache.write(&manifest)?;
+    }
+    summary.sequence_factors = factors.measured;
+    summary.borrowed = factors.without.into_iter().map(|drive| drives[drive].name.clone()).collect();
+    summary.borrowed_factor = factors.borrowed;
     Ok(summary)
 }
 
@@ -100,6 +140,13 @@ struct NetworkRun<'a> {
     drives: &'a [Drive],
     rule: ScaleRule,
     max_bad_frames: f64,
+}
+
+/// Whether scans are wanted beside images.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Scans {
+    Read,
+    Leave,
 }
 
 /// A frame as the network takes it.
@@ -116,63 +163,81 @@ struct NetworkMap {
     returns: Option<DepthMap>,
 }
 
-impl NetworkRun<'_> {
-    /// Adds the factors of the sequences that have none yet.
-    fn find_sequence_factors(
-        &self,
-        missing: &[FrameId],
-        manifest: &mut CacheManifest,
-        summary: &mut PrecomputeSummary,
-    ) -> Result<()> {
-        let mut lacking: Vec<usize> = missing.iter().map(|(drive, _)| *drive).collect();
-        lacking.dedup();
-        lacking.retain(|&drive| !manifest.sequence_factors.contains_key(&self.drives[drive].name));
-        let mut without = Vec::new();
-        for drive in lacking {
-            let name = &self.drives[drive].name;
-            match self.sequence_factor(drive)? {
-                Some(factor) => {
-                    manifest.sequence_factors.insert(name.clone(), factor);
-                }
-                None => without.push(name.clone()),
-            }
+/// The factors of sequences, each found when it is first needed.
+struct SequenceFactors<'a> {
+    run: &'a NetworkRun<'a>,
+    /// Of sequences with usable scans.
+    measured: BTreeMap<String, f64>,
+    /// Sequences without.
+    without: BTreeSet<usize>,
+    /// What those take: the mean of all others.
+    borrowed: Option<f64>,
+}
+
+impl<'a> SequenceFactors<'a> {
+    fn new(run: &'a NetworkRun<'a>, measured: BTreeMap<String, f64>) -> Self {
+        Self { run, measured, without: BTreeSet::new(), borrowed: None }
+    }
+
+    fn of(&mut self, drive: usize) -> Result<f64> {
+        if let ScaleRule::Fixed(factor) = self.run.rule {
+            return Ok(factor);
         }
-        if without.is_empty() {
-            return Ok(());
+        match (self.measured(drive)?, self.borrowed) {
+            (Some(factor), _) | (None, Some(factor)) => Ok(factor),
+            (None, None) => self.borrow(drive),
         }
-        let known: Vec<f64> = manifest.sequence_factors.values().copied().collect();
+    }
+
+    fn measured(&mut self, drive: usize) -> Result<Option<f64>> {
+        let name = &self.run.drives[drive].name;
+        if let Some(factor) = self.measured.get(name) {
+            return Ok(Some(*factor));
+        }
+        if self.without.contains(&drive) {
+            return Ok(None);
+        }
+        let factor = self.run.sequence_factor(drive)?;
+        match factor {
+            Some(factor) => drop(self.measured.insert(name.clone(), factor)),
+            None => drop(self.without.insert(drive)),
+        }
+        Ok(factor)
+    }
+
+    fn borrow(&mut self, for_drive: usize) -> Result<f64> {
+        let mut known = Vec::new();
+        for drive in 0..self.run.drives.len() {
+            known.extend(self.measured(drive)?);
+        }
+        let name = &self.run.drives[for_drive].name;
         if known.is_empty() {
             return Err(Error::config(
                 "depth.scale",
                 format!(
-                    "metres by LiDAR need scans (velodyne_points), and none of {} has a usable one; a factor that is known needs none: depth.scale = {{ fixed = 5.4 }} for published weights trained on stereo pairs",
-                    without.join(", ")
+                    "metres by LiDAR need scans (velodyne_points), and neither {name} nor another drive of the experiment has a usable one; a factor that is known needs none: depth.scale = {{ fixed = 5.4 }} for published weights trained on stereo pairs"
                 ),
             ));
         }
         let mean = known.iter().sum::<f64>() / known.len() as f64;
-        for name in without {
-            tracing::warn!(
-                "{name} has no usable LiDAR scan: its depth takes the mean factor of the other sequences, {mean:.3}"
-            );
-            manifest.sequence_factors.insert(name.clone(), mean);
-            summary.borrowed.push(name);
-        }
-        Ok(())
+        tracing::warn!(
+            "{name} has no usable LiDAR scan: its depth takes the mean factor of the other sequences, {mean:.3}"
+        );
+        self.borrowed = Some(mean);
+        Ok(mean)
     }
+}
 
+impl NetworkRun<'_> {
     /// Mean of the factors of scans spread over a sequence, `None` without a usable one.
     fn sequence_factor(&self, drive: usize) -> Result<Option<f64>> {
-        if let ScaleRule::Fixed(factor) = self.rule {
-            return Ok(Some(factor));
-        }
         let Drive { scans, images, .. } = &self.drives[drive];
         let scanned: Vec<usize> = scans.keys().copied().filter(|frame| images.contains_key(frame)).collect();
         let count = scanned.len().min(SCANS_FOR_A_SEQUENCE);
         let spread: Vec<FrameId> =
             (0..count).map(|index| (drive, scanned[(2 * index + 1) * scanned.len() / (2 * count)])).collect();
         let mut factors = Vec::new();
-        self.for_each_batch(&spread, |maps| {
+        self.for_each_batch(&spread, Scans::Read, |maps| {
             factors.extend(maps.iter().filter_map(|map| self.own_factor(map)));
             Ok(())
         })?;
@@ -191,6 +256,7 @@ impl NetworkRun<'_> {
     fn for_each_batch(
         &self,
         frames: &[FrameId],
+        scans: Scans,
         mut take: impl FnMut(Vec<NetworkMap>) -> Result<()>,
     ) -> Result<Vec<String>> {
         let pool = ThreadPoolBuilder::new()
@@ -201,7 +267,7 @@ impl NetworkRun<'_> {
         std::thread::scope(|scope| {
             scope.spawn(move || {
                 for ids in frames.chunks(BATCH) {
-                    let batch: Vec<_> = pool.install(|| ids.par_iter().map(|&id| self.prepare(id)).collect());
+                    let batch: Vec<_> = pool.install(|| ids.par_iter().map(|&id| self.prepare(id, scans)).collect());
                     // The receiver is gone when the work was given up.
                     if sender.send(batch).is_err() {
                         return;
@@ -240,17 +306,13 @@ impl NetworkRun<'_> {
         })
     }
 
-    fn prepare(&self, id: FrameId) -> Result<PreparedFrame> {
+    fn prepare(&self, id: FrameId, scans: Scans) -> Result<PreparedFrame> {
         let (drive, frame) = id;
-        let Drive { name, calibration, images, scans, .. } = &self.drives[drive];
-        let path = &images[&frame];
-        let named = |error: Error| match error {
-            Error::Data(problem) => Error::Data(format!("{}: {problem}", path.display())),
-            error => error,
-        };
-        let image = self.estimator.prepare(read_image(path)?).map_err(named)?;
-        let scan = scans.get(&frame).filter(|_| self.rule.needs_lidar());
+        let drive = &self.drives[drive];
+        let image = self.estimator.prepare(drive.read_image(frame)?)?;
+        let scan = drive.scans.get(&frame).filter(|_| scans == Scans::Read && self.rule.needs_lidar());
         let returns = scan.and_then(|scan| {
+            let Drive { name, calibration, .. } = drive;
             let points = read_scan(scan).inspect_err(|error| tracing::warn!("{name}, frame {frame}: {error}")).ok()?;
             Some(project_scan(&points, &calibration.camera2_from_velodyne, &calibration.camera2))
         });

@@ -36,6 +36,8 @@ pub struct DepthScores {
     pub images: usize,
     /// Pixels that were judged.
     pub pixels: usize,
+    /// True pixels that were not, for want of a prediction.
+    pub unknown: usize,
     /// `|d − g| / g`.
     pub abs_rel: f64,
     /// `(d − g)² / g`, m.
@@ -57,6 +59,7 @@ impl DepthScores {
         for (u, v, depth) in truth.known().filter(|&(u, v, depth)| crop.contains(u, v, depth)) {
             let predicted = predicted.seen_from(truth, u, v);
             if predicted <= 0.0 {
+                scores.unknown += 1;
                 continue;
             }
             let (d, g) = (predicted.clamp(LEAST_DEPTH_M.into(), MOST_DEPTH_M.into()), f64::from(depth));
@@ -88,6 +91,7 @@ impl DepthScores {
         (!images.is_empty()).then(|| Self {
             images: images.len(),
             pixels: images.iter().map(|scores| scores.pixels).sum(),
+            unknown: images.iter().map(|scores| scores.unknown).sum(),
             abs_rel: mean(|scores| scores.abs_rel),
             sq_rel: mean(|scores| scores.sq_rel),
             rmse: mean(|scores| scores.rmse),

@@ -3,7 +3,7 @@
 use burn::tensor::Device;
 
 use super::warped::{WarpedPair, warp_pair};
-use crate::config::{Config, DepthConfig, SystemConfig, SystemSource};
+use crate::config::{Config, DepthConfig};
 use crate::data::{Dataset, PairReader, PairSample, PairScope, SplitName};
 use crate::error::{Error, Result};
 
@@ -33,7 +33,7 @@ pub struct SourceComparison {
     pub unwarped_difference: f64,
     /// One for each source.
     pub sources: Vec<SourceScores>,
-    /// The middle pair by each source, to be looked at.
+    /// A pair in the middle by each source, to be looked at.
     pub example: Vec<(PairSample, WarpedPair)>,
 }
 
@@ -49,8 +49,7 @@ pub fn compare_depth_sources(
     let readers = sources
         .iter()
         .map(|(_, depth)| {
-            let truth = SystemConfig { name: "truth".to_owned(), share: 1.0, source: SystemSource::Truth {} };
-            let config = Config { depth: depth.clone(), systems: vec![truth], ..config.clone() };
+            let config = Config { depth: depth.clone(), ..config.with_truth_alone() };
             let dataset = Dataset::load(&config, PairScope::Images)?;
             Ok((PairReader::new(&config, &dataset, SplitName::Test), dataset.test.pairs))
         })
@@ -72,15 +71,23 @@ pub fn compare_depth_sources(
         let mut warped = Vec::new();
         for (reader, pairs) in &readers {
             let pair = pairs.iter().find(|pair| pair.id == *id).expect("everywhere");
-            let unreadable = || Error::Data("a frame cannot be read; the warning above says why".to_owned());
-            let sample = reader.read(pair)?.ok_or_else(unreadable)?;
-            let pair = warp_pair(&sample, device)?;
-            warped.push((sample, pair));
+            if let Some(sample) = reader.read(pair)? {
+                let pair = warp_pair(&sample, device)?;
+                warped.push((sample, pair));
+            }
         }
-        sums.add(&warped);
-        if index == ids.len() / 2 {
-            example = warped;
+        // A pair that one source cannot read is left out; the reader has warned of it.
+        if warped.len() == readers.len() {
+            sums.add(&warped);
+            if index <= ids.len() / 2 {
+                example = warped;
+            }
         }
+    }
+    if sums.pairs == 0 {
+        return Err(Error::Data(
+            "not one test pair can be read by every source; the warnings above say why".to_owned(),
+        ));
     }
     Ok(sums.comparison(sources, example))
 }

@@ -71,7 +71,7 @@ micro_batch = 4
 epochs = 1
 batches_per_epoch = 1
 [depth_training]
-width = 96
+width = 192
 height = 64
 batch = 2
 epochs = 2
@@ -140,6 +140,24 @@ fn maps_are_made_once_and_used_by_train_and_eval() {
     street.run("train", &[]).assert().success();
     relcov().arg("eval").arg("--run").arg(street.path("runs/street")).assert().success();
 
+    // A map that a power cut left empty is made again.
+    std::fs::write(street.map(4), []).unwrap();
+    let report = stdout(&mut street.run("depth", &[]));
+    assert!(report.contains("1 maps made, 10 kept"), "{report}");
+    assert_eq!(first, std::fs::read(street.map(4)).unwrap());
+
+    // Without drives to watch, the end of the training drive is held out; the maps still suffice.
+    let held_out = ["--set", "data.validation=[]", "--set", "data.validation_fraction=0.4", "--set", "name=held_out"];
+    street.run("train", &held_out).assert().success();
+
+    // Another drive of the same name has other depth.
+    let image = street.path(&format!("data/2026_01_01/{DRIVE}/image_02/data/0000000000.png"));
+    let kept = std::fs::read(&image).unwrap();
+    image::RgbImage::new(192, 64).save(&image).unwrap();
+    let message = street.refused("train", &["--set", "name=other"]);
+    assert!(message.contains("another drive of that name"), "{message}");
+    std::fs::write(&image, kept).unwrap();
+
     // The maps do not fit other settings or other weights, and --force renews them.
     let message = street.refused("train", &["--set", "name=other", "--set", "depth.scale=median"]);
     assert!(message.contains("scale: Mean there, Median wanted") && message.contains("--force"), "{message}");
@@ -168,9 +186,10 @@ fn a_frame_without_a_usable_scan_takes_the_factor_of_its_sequence() {
     for frame in 0..Street::FRAMES {
         let _ = std::fs::remove_file(scan(frame));
     }
+    // Nothing is lost where nothing can be made.
     let message = street.refused("depth", &["--force"]);
     assert!(message.contains("depth.scale = { fixed"), "{message}");
-    assert!(!street.map(1).exists());
+    assert!(street.map(1).exists());
 }
 
 #[test]
@@ -291,16 +310,25 @@ fn a_depth_network_is_trained_interrupted_resumed_and_used() {
         .arg("train-depth")
         .arg("--resume")
         .arg(&whole)
-        .args(["--set", "depth_training.width=128"])
+        .args(["--set", "depth_training.batch=3"])
         .assert()
         .code(1)
         .get_output()
         .clone();
     assert!(String::from_utf8(output.stderr).unwrap().contains("other settings"));
 
-    // Its depth needs no LiDAR. A 96x64 network sees these images squeezed by half: too much.
-    let message = street.refused("depth", &["--set", &format!("depth.weights={}", whole.display()), "--force"]);
+    // Of another aspect than the images: said before hours of training, and before maps are made.
+    let message = street.refused("train-depth", &["--set", "depth_training.width=96", "--out", "narrow"]);
     assert!(message.contains("squeezed 2.00 times"), "{message}");
+    // Published weights are never mixed with one's own.
+    let message = street.refused("train-depth", &["--force"]);
+    assert!(message.contains("holds published weights"), "{message}");
+
+    // Its depth needs no LiDAR and is used like any other.
+    let own = format!("depth.weights={}", whole.display());
+    let report = stdout(&mut street.run("depth", &["--set", &own]));
+    assert!(report.contains("11 maps made") && !report.contains("scan"), "{report}");
+    street.run("train", &["--set", &own]).assert().success();
 }
 
 fn half(path: &Path) -> Vec<u8> {

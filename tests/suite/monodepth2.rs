@@ -1,4 +1,4 @@
-//! The depth network against PyTorch's, and the ways its files can be wrong.
+//! The depth network against PyTorch's.
 
 use std::path::{Path, PathBuf};
 

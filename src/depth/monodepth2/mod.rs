@@ -22,6 +22,14 @@ use encoder::ResNet18;
 /// Input sizes are multiples of this: the encoder halves the image five times, and the decoder doubles it again.
 pub const SIZE_STEP: usize = 32;
 
+/// The largest input side, px.
+pub const MOST_SIZE: usize = 8192;
+
+/// Whether an input may be so wide or high, px.
+pub fn is_input_size(size: usize) -> bool {
+    size.is_multiple_of(SIZE_STEP) && (2 * SIZE_STEP..=MOST_SIZE).contains(&size)
+}
+
 /// Encoder and decoder.
 ///
 /// Departures: none in evaluation. Trained here, it has no batch norms (the second convolution of each residual

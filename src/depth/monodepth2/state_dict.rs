@@ -10,7 +10,7 @@ use pytorch_reader::{DType, PickleValue, PytorchError, PytorchReader};
 
 use super::decoder::Stage;
 use super::encoder::BasicBlock;
-use super::{Monodepth2, SIZE_STEP};
+use super::{MOST_SIZE, Monodepth2, SIZE_STEP, is_input_size};
 use crate::error::{Error, Place, Result};
 
 /// The encoder's file in a folder of weights.
@@ -108,7 +108,7 @@ impl StateDict {
             weights.iter_mut().for_each(|weight| *weight *= factor);
             folded.push(bias[output] - mean[output] * factor);
         }
-        self.assign(layer, weight, folded)
+        self.assign(convolution, layer, weight, folded)
     }
 
     /// A convolution with a bias of its own.
@@ -116,12 +116,13 @@ impl StateDict {
         let shape = layer.weight.dims();
         let weight = self.floats(&format!("{name}.weight"), &shape)?;
         let bias = self.floats(&format!("{name}.bias"), &shape[..1])?;
-        self.assign(layer, weight, bias)
+        self.assign(name, layer, weight, bias)
     }
 
-    fn assign(&self, layer: &mut Conv2d, weight: Vec<f32>, bias: Vec<f32>) -> Result<()> {
+    fn assign(&self, name: &str, layer: &mut Conv2d, weight: Vec<f32>, bias: Vec<f32>) -> Result<()> {
         if weight.iter().chain(&bias).any(|value| !value.is_finite()) {
-            return Err(Error::malformed(&self.path, Place::Whole, "weights that are not finite", "a trained network"));
+            let found = "weights that are not finite, by themselves or with their batch norm";
+            return Err(Error::malformed(&self.path, Place::Field(name.to_owned()), found, "a trained network"));
         }
         let (shape, outputs) = (layer.weight.dims(), bias.len());
         layer.weight = Param::from_tensor(Tensor::from_data(TensorData::new(weight, shape), &self.device));
@@ -145,13 +146,11 @@ impl StateDict {
 
     fn size(&self, key: &str) -> Result<usize> {
         let wrong = |found: String| {
-            let expected = format!("the input's size, a multiple of {SIZE_STEP}");
+            let expected = format!("the input's size, a multiple of {SIZE_STEP} from {} to {MOST_SIZE}", 2 * SIZE_STEP);
             Error::malformed(&self.path, Place::Field(key.to_owned()), found, expected)
         };
         match self.scalars.get(key) {
-            Some(&PickleValue::Int(size)) if size >= 2 * SIZE_STEP as i64 && size % SIZE_STEP as i64 == 0 => {
-                Ok(size as usize)
-            }
+            Some(&PickleValue::Int(size)) if usize::try_from(size).is_ok_and(is_input_size) => Ok(size as usize),
             Some(value) => Err(wrong(format!("{value:?}"))),
             None => Err(wrong("no such key".to_owned())),
         }

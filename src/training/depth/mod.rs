@@ -22,14 +22,15 @@ use super::RunFolder;
 use super::saved_state::{damaged, read_records, write_records};
 use super::schedule::rate_factor;
 use crate::config::{Config, DepthTrainingConfig};
-use crate::data::SplitName;
-use crate::depth::DepthEstimator;
+use crate::data::{Drive, SplitName};
 use crate::depth::monodepth2::{Monodepth2, depth_to_disparity};
+use crate::depth::{DepthEstimator, holds_metric_weights, holds_published_weights, require_aspect};
 use crate::error::{Error, Result};
 use crate::evaluation::read_values;
 use crate::files::{read_text, sha256_hex, write_atomically};
+use crate::geometry::Pinhole;
 use crate::kernels::Adam;
-use reprojection::{ReprojectionLoss, reprojection_loss};
+use reprojection::{NEIGHBOURS, ReprojectionLoss, reprojection_loss};
 use targets::{TargetBatches, Targets};
 
 const HISTORY: &str = "history.json";
@@ -56,8 +57,8 @@ pub enum DepthEvent<'a> {
         epoch: usize,
         /// Mini-batch in the epoch, from 1.
         batch: usize,
-        /// Its loss.
-        loss: f64,
+        /// Its loss; none where one of its images cannot be read.
+        loss: Option<f64>,
         /// Target images a second.
         targets_per_second: f64,
     },
@@ -85,6 +86,8 @@ pub struct DepthEpoch {
 struct DepthHistory {
     settings: String,
     batches: usize,
+    /// Mini-batches that were learned from.
+    steps: usize,
     initial_loss: f64,
     loss_sum: f64,
     loss_count: usize,
@@ -106,20 +109,38 @@ pub struct DepthLearner {
 }
 
 impl DepthLearner {
-    /// Begins in a folder that holds no run, or replaces the one it holds. `initial`: weights to begin with, random
-    /// ones without.
+    /// Begins in a folder that holds no run, or replaces the one it holds.
     ///
     /// # Errors
-    /// A split has no three images in a row, or the folder is taken or cannot be written.
+    /// A split has no three images in a row, the images have another aspect than the network, or the folder is taken or
+    /// cannot be written.
     pub fn start(config: Config, folder: &Path, device: &Device, replace: bool) -> Result<Self> {
+        Self::require_free(folder, replace)?;
         let mut learner = Self::new(config, device, |_| RunFolder::create(folder, replace))?;
         if replace {
             DepthEstimator::remove_metric(folder)?;
         }
         learner.run.write_config(&learner.config)?;
-        learner.history = DepthHistory { settings: settings(&learner.config), ..DepthHistory::default() };
+        learner.history = DepthHistory { settings: learner.settings(), ..DepthHistory::default() };
         learner.history.initial_loss = learner.evaluate()?;
         Ok(learner)
+    }
+
+    /// That a training may begin in a folder.
+    ///
+    /// # Errors
+    /// It holds published weights, or a run or weights that are not to be replaced.
+    pub fn require_free(folder: &Path, replace: bool) -> Result<()> {
+        if holds_published_weights(folder) {
+            let problem = "holds published weights; choose another folder with --out, and name it as depth.weights";
+            return Err(Error::run(folder, problem));
+        }
+        if !replace && holds_metric_weights(folder) {
+            let problem =
+                "holds trained depth weights; go on with --resume, choose another --out, or replace them with --force";
+            return Err(Error::run(folder, problem));
+        }
+        if replace { Ok(()) } else { RunFolder::require_free(folder) }
     }
 
     /// Goes on where a folder's newest state ended.
@@ -134,15 +155,15 @@ impl DepthLearner {
         };
         let history: DepthHistory = serde_json::from_str(&read_text(&state.join(HISTORY))?)
             .map_err(|error| damaged(&state, HISTORY, &error))?;
-        if history.settings != settings(&config) {
+        let mut learner = Self::new(config, device, |_| Ok(run))?;
+        if history.settings != learner.settings() {
             return Err(Error::run(
                 folder,
-                "was begun with other settings; a resumed training may change its device, data.root and of depth_training: epochs, learning_rate, schedule",
+                "was begun with other settings or images; a resumed training may change its device, data.root and of depth_training: epochs, learning_rate, schedule",
             ));
         }
-        let mut learner = Self::new(config, device, |_| Ok(run))?;
         let network = learner.network.take().expect("a new learner has its network");
-        let (network, optimiser) = read_records(&state, network, learner.optimiser, history.batches)?;
+        let (network, optimiser) = read_records(&state, network, learner.optimiser, history.steps)?;
         (learner.network, learner.optimiser, learner.history) = (Some(network), optimiser, history);
         learner.run.write_config(&learner.config)?;
         Ok(learner)
@@ -150,6 +171,12 @@ impl DepthLearner {
 
     fn new(config: Config, device: &Device, open: impl FnOnce(()) -> Result<RunFolder>) -> Result<Self> {
         let dataset = Targets::load(&config)?;
+        let DepthTrainingConfig { width, height, .. } = config.depth_training;
+        for Drive { name, calibration, .. } in &dataset.drives {
+            let Pinhole { width: full_width, height: full_height, .. } = calibration.camera2;
+            require_aspect([full_width, full_height], [width, height])
+                .map_err(|error| Error::config("depth_training.width", format!("{name}: {error}")))?;
+        }
         let train = Targets::new(&config, &dataset, SplitName::Train)?;
         let watched = Targets::new(&config, &dataset, SplitName::Validation)?;
         let run = open(())?;
@@ -231,11 +258,11 @@ impl DepthLearner {
     }
 
     /// One step of Adam on a mini-batch; one with an unreadable image is passed over.
-    fn learn_batch(&mut self, batches: &mut TargetBatches) -> Result<f64> {
+    fn learn_batch(&mut self, batches: &mut TargetBatches) -> Result<Option<f64>> {
         let range_m = self.config.depth_training.range_m;
         let Some(batch) = batches.next(&self.device)? else {
             self.history.batches += 1;
-            return Ok(f64::NAN);
+            return Ok(None);
         };
         let ReprojectionLoss { loss, .. } = reprojection_loss(self.network(), range_m, &batch);
         let gradients = GradientsParams::from_grads(loss.backward(), self.network());
@@ -251,9 +278,10 @@ impl DepthLearner {
         let network = self.network.take().expect("put back by the step before");
         self.network = Some(self.optimiser.step(learning_rate * rate_factor(schedule, share), network, gradients));
         self.history.batches += 1;
+        self.history.steps += 1;
         self.history.loss_sum += value;
         self.history.loss_count += 1;
-        Ok(value)
+        Ok(Some(value))
     }
 
     /// Judges the weights on the watched targets and keeps the best; whether these are.
@@ -283,17 +311,26 @@ impl DepthLearner {
         let network = self.network().valid();
         let batch = self.config.depth_training.batch;
         let mut batches = self.watched.in_order(batch)?;
-        let mut losses: Vec<Tensor<1>> = Vec::new();
+        let (mut losses, mut targets): (Vec<Tensor<1>>, Vec<f64>) = (Vec::new(), Vec::new());
         for _ in 0..self.watched.len().div_ceil(batch) {
             if let Some(batch) = batches.next(&self.device)? {
                 losses.push(reprojection_loss(&network, self.config.depth_training.range_m, &batch).photometric);
+                targets.push((batch.len() / NEIGHBOURS) as f64);
             }
         }
         if losses.is_empty() {
             return Err(Error::Data("not one watched image can be read".to_owned()));
         }
         let losses = read_values(Tensor::cat(losses, 0))?;
-        Ok(losses.iter().sum::<f64>() / losses.len() as f64)
+        let sum: f64 = losses.iter().zip(&targets).map(|(loss, targets)| loss * targets).sum();
+        let mean = sum / targets.iter().sum::<f64>();
+        if !mean.is_finite() {
+            return Err(Error::Training(
+                "the network's disparities are no longer finite; the last saved state is kept. Go on from it with --resume and a lower --set depth_training.learning_rate=…"
+                    .to_owned(),
+            ));
+        }
+        Ok(mean)
     }
 
     fn stop_if_interrupted(&self) -> Result<()> {
@@ -319,20 +356,19 @@ impl DepthLearner {
         let csv: String = std::iter::once("epoch,training_loss,evaluation_loss\n".to_owned()).chain(rows).collect();
         write_atomically(&self.run.path().join(METRICS), csv.as_bytes())
     }
-}
 
-/// A hash of what must stay the same when a training is resumed.
-fn settings(config: &Config) -> String {
-    let defaults = DepthTrainingConfig::default();
-    let depth_training = DepthTrainingConfig {
-        epochs: defaults.epochs,
-        learning_rate: defaults.learning_rate,
-        schedule: defaults.schedule,
-        ..config.depth_training.clone()
-    };
-    let text = toml::to_string(&depth_training).expect("settings are TOML");
-    sha256_hex(
-        format!("{text}{:?}{:?}{:?}{}", config.data.train, config.data.validation, config.truth, config.seed)
-            .as_bytes(),
-    )
+    /// A hash of what must stay the same when a training is resumed.
+    fn settings(&self) -> String {
+        let defaults = DepthTrainingConfig::default();
+        let depth_training = DepthTrainingConfig {
+            epochs: defaults.epochs,
+            learning_rate: defaults.learning_rate,
+            schedule: defaults.schedule,
+            ..self.config.depth_training.clone()
+        };
+        let text = toml::to_string(&depth_training).expect("settings are TOML");
+        let Self { config, train, watched, .. } = self;
+        let identity = format!("{text}{:?}{}{}{}", config.truth, config.seed, train.fingerprint, watched.fingerprint);
+        sha256_hex(identity.as_bytes())
+    }
 }

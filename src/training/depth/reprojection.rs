@@ -35,8 +35,8 @@ pub(super) struct ReprojectionLoss {
 /// that explains it better counts (so that what one does not see is left to the other), and the pixel is left out
 /// where an unwarped neighbour explains it better still (auto-mask: what moves along with the camera).
 ///
-/// Departures: a pixel whose source lies outside the image counts as unexplained, where Godard et al. repeat the
-/// border; coarse disparities are enlarged by repeated doubling; ties are broken by a constant in place of noise.
+/// Departures: a pixel whose source lies outside the image counts as unexplained, and windows beside it see the target
+/// there, where Godard et al. repeat the source's border; coarse disparities are enlarged by repeated doubling; ties are broken by a constant in place of noise.
 pub(super) fn reprojection_loss(network: &Monodepth2, range_m: DepthRange, batch: &PairBatch) -> ReprojectionLoss {
     let targets = batch.len() / NEIGHBOURS;
     let target = batch.target_image.clone().narrow(0, 0, targets);
@@ -51,6 +51,7 @@ pub(super) fn reprojection_loss(network: &Monodepth2, range_m: DepthRange, batch
     let depth = disparity_to_depth(Tensor::cat(enlarged.collect(), 0), range_m.min, range_m.max);
     let seen = Target::new(target.clone());
     let seen_at_all_scales = seen.clone().repeated(scales);
+    let every_target = target.clone().repeat_dim(0, scales);
 
     let errors = (0..NEIGHBOURS).map(|neighbour| {
         let of = |tensor: Tensor<4>| tensor.narrow(0, neighbour * targets, targets);
@@ -58,6 +59,8 @@ pub(super) fn reprojection_loss(network: &Monodepth2, range_m: DepthRange, batch
         let intrinsics = batch.intrinsics.clone().narrow(0, neighbour * targets, targets).repeat_dim(0, scales);
         let motion = batch.source_from_target.clone().narrow(0, neighbour * targets, targets).repeat_dim(0, scales);
         let Warped { image, valid_mask } = Warp.forward(source, depth.clone(), intrinsics, motion);
+        // Windows at the edge of the valid region see the target beyond it, not black.
+        let image = image + every_target.clone() * (valid_mask.clone() * -1.0 + 1.0);
         seen_at_all_scales.photometric_error(image).mask_fill(valid_mask.equal_elem(0.0), NO_SOURCE)
     });
     let explained = least(errors);
@@ -67,7 +70,9 @@ pub(super) fn reprojection_loss(network: &Monodepth2, range_m: DepthRange, batch
     let unmoved = (least(unwarped) - TIE_BREAK).repeat_dim(0, scales);
 
     let photometric = Tensor::min_pair(explained, unmoved);
-    let finest = photometric.clone().narrow(0, 0, targets).mean().detach();
+    // NaN disparities have no valid pixel and would go unseen: 0 times their mean is NaN too.
+    let sanity = disparities[0].clone().mean() * 0.0;
+    let finest = (photometric.clone().narrow(0, 0, targets).mean() + sanity).detach();
     let mut loss = photometric.mean();
     let mut image = target;
     for (scale, disparity) in disparities.into_iter().enumerate() {

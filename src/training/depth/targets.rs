@@ -4,17 +4,21 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use burn::tensor::Device;
+
 use super::reprojection::NEIGHBOURS;
-use crate::config::{Config, DepthConfig, ModelConfig, SystemConfig, SystemSource};
+use crate::config::{Config, ModelConfig};
 use crate::data::{BatchLoader, Choice, Dataset, Pair, PairBatch, PairId, PairReader, PairScope, Split, SplitName};
 use crate::error::{Error, Result};
+use crate::files::sha256_hex;
 use crate::geometry::Tangent;
 use crate::systems::Mixer;
-use burn::tensor::Device;
 
 /// The targets of one split.
 pub(super) struct Targets {
     reader: Arc<PairReader>,
+    /// Tells these targets from others.
+    pub fingerprint: String,
     /// Target by target: the pair with the image before, then the one with the image after.
     pairs: Arc<Vec<Pair>>,
     loader: Config,
@@ -23,11 +27,7 @@ pub(super) struct Targets {
 impl Targets {
     /// The configuration that gives pairs of true motions at the depth network's size.
     pub fn config(config: &Config) -> Config {
-        let truth = SystemConfig { name: "truth".to_owned(), share: 1.0, source: SystemSource::Truth {} };
-        let mut config = config.clone();
-        config.systems = vec![truth];
-        // Not read by the loss; a plane needs nothing.
-        config.depth = DepthConfig::default();
+        let mut config = config.with_truth_alone();
         let (width, height) = (config.depth_training.width, config.depth_training.height);
         config.model = ModelConfig { width, height, ..ModelConfig::default() };
         config.training.micro_batch = NEIGHBOURS * config.depth_training.batch;
@@ -50,12 +50,18 @@ impl Targets {
         let pairs = both_neighbours(dataset.split(split));
         if pairs.is_empty() {
             return Err(Error::Data(format!(
-                "split `{}` has no three images in a row with true poses: there is nothing to learn depth from; `relcov inspect --config …` shows what each drive holds",
+                "split `{}` has no three images in a row with true poses, which training depth needs; `relcov inspect --config …` shows what each drive holds, data.{} (or data.validation_fraction) chooses",
+                split.name(),
                 split.name()
             )));
         }
+        let names = pairs
+            .iter()
+            .map(|Pair { id, .. }| format!("{} {} {}\n", dataset.drives[id.drive].name, id.source, id.target));
+        let fingerprint = sha256_hex(names.collect::<String>().as_bytes());
         let loader = Self::config(config);
-        Ok(Self { reader: Arc::new(PairReader::new(&loader, dataset, split)), pairs: Arc::new(pairs), loader })
+        let reader = Arc::new(PairReader::new(&loader, dataset, split));
+        Ok(Self { reader, fingerprint, pairs: Arc::new(pairs), loader })
     }
 
     pub fn len(&self) -> usize {
