@@ -15,6 +15,7 @@ use super::convolution::{self, ConvolutionShape};
 use super::dense::vector_matrix;
 use super::fused::{Activation, Border, FusedConvolution, Part};
 use super::instructions::Instructions;
+use super::pool::max_pool;
 use super::warp::{Validity, WarpInput, warp};
 
 /// Layers of a network, differentiable.
@@ -56,6 +57,9 @@ pub(super) trait Operations: Backend {
         shortcut: FloatTensor<Self>,
         plan: FusedPlan,
     ) -> FloatTensor<Self>;
+
+    /// Maximum over 3x3 neighbourhoods, at every second pixel.
+    fn max_pool(input: FloatTensor<Self>) -> FloatTensor<Self>;
 
     /// The warped image and its mask.
     fn warp(
@@ -178,6 +182,14 @@ impl Operations for Flex {
         let convolution = FusedConvolution { shape, parts, border, weight, bias, shortcut, activation };
         let [rows, columns] = shape.output_size();
         tensor(convolution.run(Instructions::current()), [shape.batch, shape.outputs, rows, columns])
+    }
+
+    fn max_pool(input: FlexTensor) -> FlexTensor {
+        let input = contiguous(input);
+        let shape: [usize; 4] = std::array::from_fn(|axis| input.shape()[axis]);
+        let [batch, channels, height, width] = shape;
+        let output = max_pool(Instructions::current(), values(&input), shape);
+        tensor(output, [batch, channels, height.div_ceil(2), width.div_ceil(2)])
     }
 
     fn warp(

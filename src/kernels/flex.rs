@@ -50,6 +50,10 @@ pub(super) fn conv2d(layer: &Conv2d, input: Tensor<4>, shape: ConvolutionShape) 
     Tensor::from_dispatch(output)
 }
 
+pub(super) fn max_pool(input: Tensor<4>) -> Tensor<4> {
+    Tensor::from_dispatch(Dispatch::max_pool(input.into_dispatch()))
+}
+
 /// A block as the fused kernel does it; `None` where only separate operations can: with gradients, or not on flex.
 pub(super) fn block(block: &Block, input: &Tensor<4>) -> Option<Tensor<4>> {
     let Block { layer, doubled, skip, border, shortcut, activation } = block;

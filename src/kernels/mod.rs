@@ -25,6 +25,7 @@ mod fused;
 mod instructions;
 mod layouts;
 mod optimiser;
+mod pool;
 mod product;
 #[cfg(test)]
 mod reference;
@@ -34,6 +35,7 @@ use burn::nn::conv::Conv2d;
 use burn::nn::{Dropout, Linear};
 use burn::tensor::Tensor;
 use burn::tensor::activation::relu;
+use burn::tensor::ops::MaxPoolOptions;
 
 pub(crate) use block::Block;
 pub(crate) use fused::{Activation, Border};
@@ -64,6 +66,20 @@ pub(crate) fn relu_dropout<const D: usize>(layer: &Dropout, input: Tensor<D>) ->
         return flex::relu_dropout(layer, input);
     }
     layer.forward(relu(input))
+}
+
+/// Maximum over 3x3 neighbourhoods at every second row and column, borders ignored.
+///
+/// # Shapes
+/// - `input`: `[batch, channels, height, width]`
+/// - returns: half of both sizes, rounded up
+pub(crate) fn max_pool(input: Tensor<4>) -> Tensor<4> {
+    #[cfg(feature = "flex")]
+    if flex::takes_without_gradients(&input) {
+        return flex::max_pool(input);
+    }
+    let options = MaxPoolOptions::new([3, 3]).with_stride([2, 2]).with_padding([1, 1]);
+    burn::tensor::module::max_pool2d(input, options)
 }
 
 /// [`Linear::forward`]; fast for one row without gradients, where the weights' way from memory counts.

@@ -28,6 +28,8 @@ const TILE_TERMS: usize = 256;
 /// Rows below which a tile is cut for the threads only when there are fewer tiles than threads: each tile
 /// packs its panels anew, which its rows must pay for.
 const MIN_SHARED_ROWS: usize = 128;
+/// Up to so many rows, columns that lie side by side are read where they are: a copy would cost more than it saves.
+const FEW_ROWS: usize = 32;
 /// With so many vector registers, 8 rows times 3 vectors are summed at once, else 6 times 2.
 const MANY_REGISTERS: usize = 32;
 
@@ -218,7 +220,9 @@ impl Kernel for TileKernel<'_> {
         let depth = terms.len().div_ceil(terms.len().div_ceil(TILE_TERMS).max(1));
         for first in terms.clone().step_by(depth.max(1)) {
             let block = first..(first + depth).min(terms.end);
-            for (slot, panel) in panels.clone().enumerate() {
+            for (slot, panel) in
+                panels.clone().enumerate().filter(|(_, panel)| in_place(right, *panel, rows.len()).is_none())
+            {
                 let runs = &right.runs[right.panels[panel]..right.panels[panel + 1]];
                 pack(right, runs, block.clone(), &mut packed[slot * TILE_TERMS * TERM..]);
             }
@@ -231,7 +235,10 @@ impl Kernel for TileKernel<'_> {
                         left,
                         row,
                         terms: block.clone(),
-                        panel: &packed[slot * TILE_TERMS * TERM..],
+                        columns: match in_place(right, panels.start + slot, rows.len()) {
+                            Some(position) => Columns::InPlace(right, position),
+                            None => Columns::Packed(&packed[slot * TILE_TERMS * TERM..]),
+                        },
                         output: &mut values[(row - rows.start) * stride + slot * PANEL..],
                         stride,
                         accumulate: first > terms.start,
@@ -245,6 +252,13 @@ impl Kernel for TileKernel<'_> {
             values[..rows.len() * stride].fill(0.0);
         }
     }
+}
+
+/// Position of a panel's columns, if they lie side by side and few rows want them.
+#[inline(always)]
+fn in_place(right: &Right, panel: usize, rows: usize) -> Option<usize> {
+    let runs = &right.runs[right.panels[panel]..right.panels[panel + 1]];
+    (rows <= FEW_ROWS && runs.len() == 1 && runs[0].len as usize == PANEL).then(|| runs[0].position)
 }
 
 /// Copies the columns of a panel, each term `TERM` values after the one before.
@@ -295,17 +309,30 @@ struct Operands<'a> {
     left: Left<'a>,
     row: usize,
     terms: Range<usize>,
-    panel: &'a [f32],
+    columns: Columns<'a>,
     output: &'a mut [f32],
     stride: usize,
     accumulate: bool,
+}
+
+/// The columns of a panel.
+#[derive(Clone, Copy)]
+enum Columns<'a> {
+    /// Copied together.
+    Packed(&'a [f32]),
+    /// Where they are, all `PANEL` of them from this position on.
+    InPlace(&'a Right<'a>, usize),
 }
 
 /// Multiplies `height` rows with the first `vectors` vectors of a panel.
 #[inline(always)]
 fn multiply<S: Simd>(simd: S, height: usize, vectors: usize, mut operands: Operands) {
     assert!(operands.row + height <= operands.left.rows);
-    assert!(operands.terms.len() * TERM <= operands.panel.len());
+    match operands.columns {
+        Columns::Packed(panel) => assert!(operands.terms.len() * TERM <= panel.len()),
+        // `Right::new` checked offsets and positions, and the run holds `PANEL` columns.
+        Columns::InPlace(right, _) => assert!(operands.terms.end <= right.offsets.len()),
+    }
     assert!((height - 1) * operands.stride + PANEL <= operands.output.len());
     assert!(vectors * S::F32_LANES <= PANEL);
     let together = if many_registers::<S>() { 3 } else { 2 };
@@ -339,15 +366,21 @@ fn multiply<S: Simd>(simd: S, height: usize, vectors: usize, mut operands: Opera
 /// The operands' rows, terms and the columns from `at` on lie inside their slices.
 #[inline(always)]
 unsafe fn block<S: Simd, const ROWS: usize, const VECTORS: usize>(simd: S, operands: &mut Operands, at: usize) {
-    let Operands { left, row, ref terms, panel, ref mut output, stride, accumulate } = *operands;
+    let Operands { left, row, ref terms, columns, ref mut output, stride, accumulate } = *operands;
     let lanes = S::F32_LANES;
     let mut sums = [[simd.splat_f32s(0.0); VECTORS]; ROWS];
-    // SAFETY: promised by the caller; `Left::new` checked rows and offsets against its values.
+    // SAFETY: promised by the caller; `Left::new` and `Right::new` checked rows, positions and offsets.
     unsafe {
         let first_row = left.values.as_ptr().add(row * left.row_stride);
         for (index, &offset) in left.offsets[terms.clone()].iter().enumerate() {
             let a = first_row.add(offset as usize);
-            let b = panel.as_ptr().add(index * TERM + at);
+            let b = match columns {
+                Columns::Packed(panel) => panel.as_ptr().add(index * TERM + at),
+                Columns::InPlace(right, position) => {
+                    let offset = *right.offsets.get_unchecked(terms.start + index) as usize;
+                    right.values.as_ptr().add(offset + position + at)
+                }
+            };
             let columns: [S::f32s; VECTORS] =
                 std::array::from_fn(|vector| b.add(vector * lanes).cast::<S::f32s>().read_unaligned());
             for (r, sums) in sums.iter_mut().enumerate() {

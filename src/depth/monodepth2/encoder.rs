@@ -1,13 +1,11 @@
 //! ResNet-18 without its classifier (He, Zhang, Ren, Sun, "Deep residual learning for image recognition", 2016).
 
 use burn::module::{Module, Param};
-use burn::nn::PaddingConfig2d;
 use burn::nn::conv::Conv2d;
-use burn::nn::pool::{MaxPool2d, MaxPool2dConfig};
 use burn::tensor::{Device, Tensor};
 
 use super::convolution;
-use crate::kernels::{Activation, Block, conv2d};
+use crate::kernels::{Activation, Block, conv2d, max_pool};
 
 /// Channels of the five feature maps.
 pub(super) const CHANNELS: [usize; 5] = [64, 64, 128, 256, 512];
@@ -19,7 +17,6 @@ const PIXEL_SPREAD: f64 = 0.225;
 #[derive(Module, Debug)]
 pub(super) struct ResNet18 {
     pub conv1: Conv2d,
-    max_pool: MaxPool2d,
     /// Two in each of layer1…layer4.
     pub blocks: Vec<BasicBlock>,
 }
@@ -43,15 +40,13 @@ impl ResNet18 {
                 inputs = outputs;
             }
         }
-        let max_pool =
-            MaxPool2dConfig::new([3, 3]).with_strides([2, 2]).with_padding(PaddingConfig2d::Explicit(1, 1, 1, 1));
-        Self { conv1: convolution(3, CHANNELS[0], 7, 2, device), max_pool: max_pool.init(), blocks }
+        Self { conv1: convolution(3, CHANNELS[0], 7, 2, device), blocks }
     }
 
     /// Features at 1/2, 1/4, 1/8, 1/16 and 1/32 of the image's size.
     pub fn forward(&self, images: Tensor<4>) -> [Tensor<4>; 5] {
         let first = with_relu(&self.conv1).forward((images - PIXEL_MEAN) / PIXEL_SPREAD);
-        let mut features = self.max_pool.forward(first.clone());
+        let mut features = max_pool(first.clone());
         let mut layer = |index: usize| {
             for block in &self.blocks[2 * index..2 * index + 2] {
                 features = block.forward(features.clone());
