@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use burn::tensor::{Device, Tensor, TensorData};
 use relcov::data::read_image;
 use relcov::depth::monodepth2::PublishedWeights;
+use relcov::device::open_device;
 use safetensors::SafeTensors;
 
 /// Reference weights, image and disparities: those kept with the tests, or those of
@@ -17,6 +18,32 @@ fn reference() -> PathBuf {
 fn floats(tensors: &SafeTensors, name: &str) -> Vec<f32> {
     let (values, _) = tensors.tensor(name).unwrap().data().as_chunks::<4>();
     values.iter().map(|&value| f32::from_le_bytes(value)).collect()
+}
+
+/// Off flex the network is Burn's own operations.
+#[test]
+fn disparities_are_the_same_on_every_backend() {
+    let disparity = |device: &Device| -> Vec<f32> {
+        let PublishedWeights { network, width, height, .. } = PublishedWeights::load(&reference(), device).unwrap();
+        let image = read_image(&reference().join("image.png")).unwrap().resized_sharply(width, height);
+        let mut planes = Vec::new();
+        image.extend_planar(&mut planes);
+        let images = Tensor::from_data(TensorData::new(planes, [1, 3, height, width]), device);
+        network.disparity(images).into_data().iter().collect()
+    };
+    let flex = disparity(&Device::flex());
+    for name in ["ndarray", "wgpu"] {
+        let device = match open_device(name) {
+            Ok(device) => device,
+            Err(error) => {
+                crate::support::skip(&error.to_string());
+                continue;
+            }
+        };
+        let worst = disparity(&device).iter().zip(&flex).map(|(a, b)| (a - b).abs() / b).fold(0.0, f32::max);
+        eprintln!("{name}: worst relative difference from flex {worst:.1e}");
+        assert!(worst <= 1e-4, "{name}: {worst:e}");
+    }
 }
 
 #[test]

@@ -87,7 +87,7 @@ pub(super) fn smoothness(disparity: Tensor<4>, image: Tensor<4>) -> Tensor<1> {
 
 #[cfg(test)]
 mod tests {
-    use burn::tensor::{Device, Distribution};
+    use burn::tensor::{Device, Distribution, TensorData};
 
     use super::*;
 
@@ -101,6 +101,28 @@ mod tests {
         assert!(error.max().into_scalar::<f32>() < 1e-6);
         let opposite = target.photometric_error(image * -1.0 + 1.0).mean().into_scalar::<f32>();
         assert!(opposite > 0.5, "{opposite}");
+    }
+
+    /// Numbers of PyTorch 2.15 in f64, by Monodepth2's definitions: reflection padding, average pooling of 3x3, differences.
+    #[test]
+    fn errors_and_smoothness_are_those_of_pytorch() {
+        let device = Device::flex();
+        let wave = |shape: [usize; 4], mean: f64, size: f64, step: f64, phase: f64| {
+            let values =
+                (0..shape.iter().product()).map(|k: usize| (mean + size * (step * k as f64 + phase).sin()) as f32);
+            Tensor::<4>::from_data(TensorData::new(values.collect::<Vec<f32>>(), shape), &device)
+        };
+        let image = wave([1, 3, 6, 8], 0.5, 0.4, 0.37, 0.0);
+        let target = wave([1, 3, 6, 8], 0.5, 0.4, 0.41, 0.2);
+        let error = Target::new(target.clone()).photometric_error(image);
+        let at = |v: usize, u: usize| error.clone().slice([0..1, 0..1, v..v + 1, u..u + 1]).into_scalar::<f32>();
+        let close =
+            |found: f32, expected: f64| assert!((f64::from(found) - expected).abs() < 1e-5, "{found}, {expected}");
+        close(error.clone().mean().into_scalar(), 0.497_089_730);
+        close(at(0, 0), 0.654_910_116);
+        close(at(3, 4), 0.285_656_903);
+        let disparity = wave([1, 1, 6, 8], 0.5, 0.3, 0.2, 0.0);
+        close(smoothness(disparity, target).into_scalar(), 0.331_508_746);
     }
 
     /// An edge of depth costs less on an edge of the image.

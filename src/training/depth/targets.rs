@@ -134,3 +134,69 @@ fn both_neighbours(split: &Split) -> Vec<Pair> {
     }
     pairs
 }
+
+#[cfg(test)]
+mod tests {
+    use burn::tensor::Tensor;
+
+    use super::super::photometric::Target;
+    use super::*;
+    use crate::synthetic::{Replace, SyntheticSettings, record};
+    use crate::warp::{Warp, Warped};
+
+    const CONFIG: &str = r#"
+name = "street"
+[data]
+root = "data"
+train = [{ drive = "2026_01_01_drive_0001_sync" }]
+validation = []
+test = []
+[[systems]]
+name = "truth"
+share = 1.0
+source = "truth"
+[depth_training]
+width = 192
+height = 64
+"#;
+
+    /// Both neighbours of a target, warped by their motions and the depth of the road, look like it, and do not by
+    /// each other's motion or none: a swapped or inverted pose would show.
+    #[test]
+    fn neighbours_are_explained_by_their_own_motion() {
+        let folder = tempfile::tempdir().unwrap();
+        let settings = SyntheticSettings {
+            drives: 1,
+            frames: 6,
+            size: [192, 64],
+            image_noise: 0.0,
+            lidar_steps: 0,
+            ..SyntheticSettings::default()
+        };
+        record(folder.path(), &settings, Replace::Never, &mut |_| Ok(())).unwrap();
+        let mut config: Config = toml::from_str(CONFIG).unwrap();
+        config.data.root = folder.path().to_owned();
+        config.data.validation_fraction = 0.0;
+        let dataset = Targets::load(&config).unwrap();
+        let targets = Targets::new(&config, &dataset, SplitName::Train).unwrap();
+        assert_eq!(targets.len(), 4, "six frames less the first and the last");
+
+        let device = Device::flex();
+        let batch = targets.in_order(4).unwrap().next(&device).unwrap().unwrap();
+        let seen = Target::new(batch.target_image.clone());
+        let error = |motion: Tensor<3>| {
+            let depth = batch.target_depth.clone();
+            let Warped { image, valid_mask } =
+                Warp.forward(batch.source_image.clone(), depth, batch.intrinsics.clone(), motion);
+            // The road: the lower third.
+            let part = |tensor: Tensor<4>| tensor.narrow(2, 44, 20);
+            let (error, valid) = (part(seen.photometric_error(image)), part(valid_mask));
+            ((error * valid.clone()).sum() / valid.sum()).into_scalar::<f32>()
+        };
+        let motion = batch.source_from_target.clone();
+        let own = error(motion.clone());
+        let swapped = error(Tensor::cat(vec![motion.clone().narrow(0, 4, 4), motion.clone().narrow(0, 0, 4)], 0));
+        let none = error(Tensor::eye(4, &device).unsqueeze::<3>().repeat_dim(0, 8));
+        assert!(own < 0.6 * none && own < 0.6 * swapped, "{own}, without motion {none}, with the other's {swapped}");
+    }
+}

@@ -17,8 +17,10 @@ mod kernels {
     mod buffer;
     mod convolution;
     mod dense;
+    mod fused;
     mod instructions;
     mod layouts;
+    mod pool;
     mod product;
     #[cfg(test)]
     mod reference;
