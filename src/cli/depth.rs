@@ -169,8 +169,15 @@ fn evaluate(config: &Config, truth: Option<&str>, terminal: &Terminal) -> anyhow
 }
 
 fn compare(config: &Config, names: &[String], sheet: Option<&Path>) -> anyhow::Result<()> {
-    let sources =
-        names.iter().map(|text| Ok((text.clone(), parse_source(config, text)?))).collect::<anyhow::Result<Vec<_>>>()?;
+    let sources = names
+        .iter()
+        .map(|text| {
+            // By its name alone, unless that stands for several.
+            let name = |text: &str| text.split('=').next().unwrap_or_default().to_owned();
+            let alone = names.iter().filter(|other| name(other) == name(text)).count() == 1;
+            Ok((if alone { name(text) } else { text.clone() }, parse_source(config, text)?))
+        })
+        .collect::<anyhow::Result<Vec<_>>>()?;
     let comparison = compare_depth_sources(config, &sources, &open_device(&config.device)?)?;
     if let Some(path) = sheet {
         write_atomically(path, &contact_sheet(&comparison.example))?;
