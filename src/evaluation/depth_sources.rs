@@ -49,7 +49,9 @@ pub fn compare_depth_sources(
     let readers = sources
         .iter()
         .map(|(_, depth)| {
-            let config = Config { depth: depth.clone(), ..config.with_truth_alone() };
+            let mut config = Config { depth: depth.clone(), ..config.with_truth_alone() };
+            // A source needs to know the pairs that are compared, not those of other splits.
+            (config.data.train, config.data.validation) = (Vec::new(), Vec::new());
             let dataset = Dataset::load(&config, PairScope::Images)?;
             Ok((PairReader::new(&config, &dataset, SplitName::Test), dataset.test.pairs))
         })
