@@ -203,6 +203,7 @@ def main():
     parser.add_argument("--image", type=Path, help="an image; default: one that is made")
     parser.add_argument("--image-size", type=size, default=(1226, 370), help="size of the made image")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--legacy", action="store_true", help="the file format of PyTorch before 1.6, that of the published files")
     parser.add_argument("--compact", action="store_true", help="files small enough to be kept")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -224,8 +225,8 @@ def main():
 
     published = OrderedDict(encoder.state_dict())
     published.update(height=height, width=width, use_stereo=False)
-    torch.save(published, arguments.out / "encoder.pth")
-    torch.save(decoder.state_dict(), arguments.out / "depth.pth")
+    for state, name in [(published, "encoder.pth"), (decoder.state_dict(), "depth.pth")]:
+        torch.save(state, arguments.out / name, _use_new_zipfile_serialization=not arguments.legacy)
     tensors = {f"disparity_{scale}": disparity.contiguous() for scale, disparity in disparities.items()}
     save_file({"pixels": pixels, **tensors}, arguments.out / "reference.safetensors")
     for scale, disparity in sorted(disparities.items()):

@@ -2,9 +2,9 @@
 
 use burn::tensor::Device;
 
-use super::warped::{WarpedPair, warp_pair};
+use super::warped::{WarpedPair, mean_difference, warp_pair};
 use crate::config::{Config, DepthConfig};
-use crate::data::{Dataset, PairReader, PairSample, PairScope, SplitName};
+use crate::data::{Dataset, PairReader, PairSample, PairScope, RgbImage, SplitName};
 use crate::error::{Error, Result};
 
 /// How well one source's depth explains the pairs, means over them.
@@ -119,16 +119,18 @@ impl Sums {
         let pixels = warped[0].1.valid.len();
         let common: Vec<bool> = (0..pixels).map(|pixel| warped.iter().all(|(_, pair)| pair.valid[pixel])).collect();
         let share = |mask: &[bool]| mask.iter().filter(|&&inside| inside).count() as f64 / pixels as f64;
+        let difference =
+            |a: &RgbImage, b: &RgbImage, mask: &[bool]| mean_difference(&a.bytes, &b.bytes, mask).unwrap_or(0.0);
         let sample = &warped[0].0;
         self.pairs += 1;
         self.common += share(&common);
-        self.unwarped += mean_difference(&sample.source_image.bytes, &sample.target_image.bytes, &common);
+        self.unwarped += difference(&sample.source_image, &sample.target_image, &common);
         for (sum, (sample, pair)) in self.sources.iter_mut().zip(warped) {
-            let (image, target) = (&pair.warped_image.bytes, &sample.target_image.bytes);
+            let (image, target) = (&pair.warped_image, &sample.target_image);
             sum.known += sample.target_depth.known().count() as f64 / pixels as f64;
             sum.valid += share(&pair.valid);
-            sum.difference += mean_difference(image, target, &pair.valid);
-            sum.common_difference += mean_difference(image, target, &common);
+            sum.difference += difference(image, target, &pair.valid);
+            sum.common_difference += difference(image, target, &common);
         }
     }
 
@@ -149,12 +151,4 @@ impl Sums {
             example,
         }
     }
-}
-
-/// Mean of `|a − b|` over channels and the pixels of a mask, grey levels; 0 without one.
-fn mean_difference(a: &[u8], b: &[u8], mask: &[bool]) -> f64 {
-    let inside = a.iter().zip(b).enumerate().filter(|(index, _)| mask[index / 3]);
-    let (sum, count) =
-        inside.fold((0_u64, 0_u64), |(sum, count), (_, (a, b))| (sum + u64::from(a.abs_diff(*b)), count + 1));
-    sum as f64 / count.max(1) as f64
 }

@@ -31,12 +31,14 @@ pub fn warp_pair(sample: &PairSample, device: &Device) -> Result<WarpedPair> {
     let pixels = width * height;
     let level = |index: usize| (255.0 * planes[index % 3 * pixels + index / 3]).round().clamp(0.0, 255.0) as u8;
     let bytes: Vec<u8> = (0..3 * pixels).map(level).collect();
-    let compared = (0..3 * pixels).filter(|index| valid[index / 3]);
-    let (sum, count) = compared
-        .fold((0.0, 0_usize), |(sum, count), index| (sum + f64::from(bytes[index].abs_diff(target[index])), count + 1));
-    Ok(WarpedPair {
-        warped_image: RgbImage { width: *width, height: *height, bytes },
-        valid,
-        mean_difference: (count > 0).then(|| sum / count as f64),
-    })
+    let mean_difference = mean_difference(&bytes, target, &valid);
+    Ok(WarpedPair { warped_image: RgbImage { width: *width, height: *height, bytes }, valid, mean_difference })
+}
+
+/// Mean of `|a − b|` over channels and the pixels of a mask, grey levels; `None` without one.
+pub(super) fn mean_difference(a: &[u8], b: &[u8], mask: &[bool]) -> Option<f64> {
+    let inside = a.iter().zip(b).enumerate().filter(|(index, _)| mask[index / 3]);
+    let (sum, count) =
+        inside.fold((0_u64, 0_u64), |(sum, count), (_, (a, b))| (sum + u64::from(a.abs_diff(*b)), count + 1));
+    (count > 0).then(|| sum as f64 / count as f64)
 }

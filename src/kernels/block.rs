@@ -77,7 +77,8 @@ fn elu(input: Tensor<4>) -> Tensor<4> {
     relu(input.clone()) + input.clamp_max(0.0).exp() - 1.0
 }
 
-fn double(image: Tensor<4>) -> Tensor<4> {
+/// Twice the size, each pixel four times.
+pub(crate) fn double(image: Tensor<4>) -> Tensor<4> {
     let [_, _, height, width] = image.dims();
     let options = InterpolateOptions::new(InterpolateMode::Nearest).with_output_size([2 * height, 2 * width]);
     interpolate(image, options)

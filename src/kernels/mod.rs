@@ -37,7 +37,7 @@ use burn::tensor::Tensor;
 use burn::tensor::activation::relu;
 use burn::tensor::ops::MaxPoolOptions;
 
-pub(crate) use block::Block;
+pub(crate) use block::{Block, double};
 pub(crate) use fused::{Activation, Border};
 pub(crate) use instructions::Instructions;
 pub use optimiser::Adam;

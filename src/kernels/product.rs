@@ -25,8 +25,7 @@ pub(super) const SLACK: usize = CHUNK;
 const TILE_ROWS: usize = 256;
 const TILE_COLUMNS: usize = 5 * PANEL;
 const TILE_TERMS: usize = 256;
-/// Rows below which a tile is cut for the threads only when there are fewer tiles than threads: each tile
-/// packs its panels anew, which its rows must pay for.
+/// Rows below which a tile is cut only for idle threads: each tile packs its panels anew, at its rows' cost.
 const MIN_SHARED_ROWS: usize = 128;
 /// Up to so many rows, columns that lie side by side are read where they are: a copy would cost more than it saves.
 const FEW_ROWS: usize = 32;
@@ -300,8 +299,7 @@ fn block_height<S: Simd>(rows: usize) -> usize {
     }
 }
 
-#[inline(always)]
-fn many_registers<S: Simd>() -> bool {
+const fn many_registers<S: Simd>() -> bool {
     S::REGISTER_COUNT >= MANY_REGISTERS
 }
 
@@ -328,11 +326,11 @@ enum Columns<'a> {
 #[inline(always)]
 fn multiply<S: Simd>(simd: S, height: usize, vectors: usize, mut operands: Operands) {
     assert!(operands.row + height <= operands.left.rows);
-    match operands.columns {
-        Columns::Packed(panel) => assert!(operands.terms.len() * TERM <= panel.len()),
+    assert!(match operands.columns {
+        Columns::Packed(panel) => operands.terms.len() * TERM <= panel.len(),
         // `Right::new` checked offsets and positions, and the run holds `PANEL` columns.
-        Columns::InPlace(right, _) => assert!(operands.terms.end <= right.offsets.len()),
-    }
+        Columns::InPlace(right, _) => operands.terms.end <= right.offsets.len(),
+    });
     assert!((height - 1) * operands.stride + PANEL <= operands.output.len());
     assert!(vectors * S::F32_LANES <= PANEL);
     let together = if many_registers::<S>() { 3 } else { 2 };

@@ -2,13 +2,14 @@
 //! the known motion (Godard et al. 2019, with measured poses in place of a pose network).
 
 use burn::tensor::Tensor;
-use burn::tensor::module::{avg_pool2d, conv2d, interpolate};
-use burn::tensor::ops::{AvgPoolOptions, ConvOptions, InterpolateMode, InterpolateOptions, PadMode};
+use burn::tensor::module::{avg_pool2d, conv2d};
+use burn::tensor::ops::{AvgPoolOptions, ConvOptions, PadMode};
 
 use super::photometric::{Target, smoothness};
 use crate::data::PairBatch;
 use crate::depth::DepthRange;
 use crate::depth::monodepth2::{Monodepth2, disparity_to_depth};
+use crate::kernels::double;
 use crate::warp::{Warp, Warped};
 
 /// Frames that each target is explained by: the one before and the one after.
@@ -93,10 +94,8 @@ fn least(images: impl Iterator<Item = Tensor<4>>) -> Tensor<4> {
 /// Twice the size, bilinear: each pixel twice, then weights ¼, ½, ¼ along rows and columns. (Burn's bilinear
 /// interpolation has gradients on some devices only.)
 fn doubled_smoothly(image: Tensor<4>) -> Tensor<4> {
-    let [_, _, height, width] = image.dims();
     let device = image.device();
-    let options = InterpolateOptions::new(InterpolateMode::Nearest).with_output_size([2 * height, 2 * width]);
-    let doubled = interpolate(image, options).pad([(1, 1), (1, 1)], PadMode::Edge);
+    let doubled = double(image).pad([(1, 1), (1, 1)], PadMode::Edge);
     let weights = [1.0, 2.0, 1.0, 2.0, 4.0, 2.0, 1.0, 2.0, 1.0].map(|weight: f32| weight / 16.0);
     let weights = Tensor::<1>::from_floats(weights, &device).reshape([1, 1, 3, 3]);
     conv2d(doubled, weights, None, ConvOptions::new([1, 1], [0, 0], [1, 1], 1))
