@@ -133,7 +133,7 @@ impl Model {
     /// in axes of [`Model::error_frame`]; recalibrated if the run was.
     ///
     /// # Errors
-    /// Images do not have the camera's size, buffers not the size they state, the pose or intrinsics
+    /// Images do not have the camera's size, buffers not the size they state, no depth is known, the pose or intrinsics
     /// are not finite, or the model's output is not.
     pub fn predict(&self, measurement: &Measurement) -> Result<Covariance6> {
         let sample = self.prepare(measurement)?;
@@ -170,6 +170,11 @@ impl Model {
         if target_depth.depth_m.len() != target_depth.width * target_depth.height || target_depth.depth_m.is_empty() {
             return Err(Error::Data("the depth map does not hold one depth for each of its pixels".to_owned()));
         }
+        if target_depth.known().next().is_none() {
+            return Err(Error::Data(
+                "the depth of not one pixel is known (0 = unknown, else metres): there is nothing to warp".to_owned(),
+            ));
+        }
         let intrinsics = [camera.fx, camera.fy, camera.cx, camera.cy];
         let usable = intrinsics.iter().all(|value| value.is_finite()) && camera.fx > 0.0 && camera.fy > 0.0;
         if !usable || !source_from_target.is_finite() {
@@ -192,5 +197,28 @@ impl Model {
                 right_from_left: right.right_from_left,
             }),
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_measurement_without_any_depth_is_refused() {
+        let device = Device::flex();
+        let model = Model::untrained(Architecture::paper(32, 16), ErrorFrame::Vehicle, [-4.0; 6], &device);
+        let grey = RgbImage { width: 64, height: 32, bytes: vec![128; 3 * 64 * 32] };
+        let measurement = |depth: f32| Measurement {
+            source_image: grey.clone(),
+            target_image: grey.clone(),
+            target_depth: DepthMap { width: 4, height: 2, depth_m: vec![depth; 8] },
+            camera: Pinhole { fx: 40.0, fy: 40.0, cx: 31.5, cy: 15.5, width: 64, height: 32 },
+            source_from_target: Pose::identity(),
+            right: None,
+        };
+        assert!(model.predict(&measurement(5.0)).is_ok());
+        let message = model.predict(&measurement(0.0)).unwrap_err().to_string();
+        assert!(message.contains("not one pixel"), "{message}");
     }
 }
