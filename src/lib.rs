@@ -10,6 +10,7 @@
 //! | predict a covariance with a trained model | [`Model`] |
 //! | know what order, side, frame and unit a number has | [`geometry`] |
 //! | train | [`training::Learner`], or `relcov train` |
+//! | have depth for the warp, or train a network for it | [`depth`], [`training::depth`], or `relcov depth`, `relcov train-depth` |
 //! | judge a model, or any covariances | [`evaluation`], or `relcov eval` |
 //! | compare results, draw them | [`report`], or `relcov report` |
 //! | have data whose true covariances are known | [`synthetic`], or `relcov synth` |

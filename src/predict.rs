@@ -10,7 +10,7 @@ use crate::depth::DepthMap;
 use crate::error::{Error, Result};
 use crate::evaluation::{Recalibration, read_values};
 use crate::geometry::{Covariance6, ErrorFrame, Pinhole, Pose, Tangent};
-use crate::model::{Architecture, CovarianceModel};
+use crate::model::{Architecture, CovarianceModel, ImagePair};
 use crate::training::RunFolder;
 
 /// A model ready to predict.
@@ -50,7 +50,8 @@ pub struct Measurement {
     pub source_image: RgbImage,
     /// `I_{i+1}`, the same size.
     pub target_image: RgbImage,
-    /// Depth of the target image, m along the optical axis, 0 = unknown; any size.
+    /// Depth of the target image, m along the optical axis, 0 = unknown; any size. [`DepthEstimator`](crate::depth::DepthEstimator)
+    /// makes it from the image by a network.
     pub target_depth: DepthMap,
     /// Intrinsics of both images at their size.
     pub camera: Pinhole,
@@ -170,7 +171,7 @@ impl Model {
         if target_depth.depth_m.len() != target_depth.width * target_depth.height || target_depth.depth_m.is_empty() {
             return Err(Error::Data("the depth map does not hold one depth for each of its pixels".to_owned()));
         }
-        if target_depth.known().next().is_none() {
+        if self.architecture.pair == ImagePair::Warped && target_depth.known().next().is_none() {
             return Err(Error::Data(
                 "the depth of not one pixel is known (0 = unknown, else metres): there is nothing to warp".to_owned(),
             ));
