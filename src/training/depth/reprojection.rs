@@ -37,7 +37,8 @@ pub(super) struct ReprojectionLoss {
 /// where an unwarped neighbour explains it better still (auto-mask: what moves along with the camera).
 ///
 /// Departures: a pixel whose source lies outside the image counts as unexplained, and windows beside it see the target
-/// there, where Godard et al. repeat the source's border; coarse disparities are enlarged by repeated doubling; ties are broken by a constant in place of noise.
+/// there, where Godard et al. repeat the source's border; coarse disparities are enlarged by repeated doubling; ties are
+/// broken by a constant in place of noise.
 pub(super) fn reprojection_loss(network: &Monodepth2, range_m: DepthRange, batch: &PairBatch) -> ReprojectionLoss {
     let targets = batch.len() / NEIGHBOURS;
     let target = batch.target_image.clone().narrow(0, 0, targets);
