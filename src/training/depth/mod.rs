@@ -116,7 +116,7 @@ impl DepthLearner {
     /// cannot be written.
     pub fn start(config: Config, folder: &Path, device: &Device, replace: bool) -> Result<Self> {
         Self::require_free(folder, replace)?;
-        let mut learner = Self::new(config, device, |_| RunFolder::create(folder, replace))?;
+        let mut learner = Self::new(config, device, || RunFolder::create(folder, replace))?;
         if replace {
             DepthEstimator::remove_metric(folder)?;
         }
@@ -155,7 +155,7 @@ impl DepthLearner {
         };
         let history: DepthHistory = serde_json::from_str(&read_text(&state.join(HISTORY))?)
             .map_err(|error| damaged(&state, HISTORY, &error))?;
-        let mut learner = Self::new(config, device, |_| Ok(run))?;
+        let mut learner = Self::new(config, device, || Ok(run))?;
         if history.settings != learner.settings() {
             return Err(Error::run(
                 folder,
@@ -169,7 +169,7 @@ impl DepthLearner {
         Ok(learner)
     }
 
-    fn new(config: Config, device: &Device, open: impl FnOnce(()) -> Result<RunFolder>) -> Result<Self> {
+    fn new(config: Config, device: &Device, open: impl FnOnce() -> Result<RunFolder>) -> Result<Self> {
         let dataset = Targets::load(&config)?;
         let DepthTrainingConfig { width, height, .. } = config.depth_training;
         for Drive { name, calibration, .. } in &dataset.drives {
@@ -179,7 +179,7 @@ impl DepthLearner {
         }
         let train = Targets::new(&config, &dataset, SplitName::Train)?;
         let watched = Targets::new(&config, &dataset, SplitName::Validation)?;
-        let run = open(())?;
+        let run = open()?;
         device.seed(config.seed);
         let DepthTrainingConfig { range_m, initial_depth_m, .. } = config.depth_training;
         let disparity = depth_to_disparity(initial_depth_m, range_m.min, range_m.max);
@@ -236,7 +236,7 @@ impl DepthLearner {
             let epoch = self.history.rows.len() + 1;
             while self.history.batches < epoch * per_epoch {
                 let begin = Instant::now();
-                let loss = self.learn_batch(&mut batches)?;
+                let loss = self.learn_batch(&mut batches).map_err(|error| self.saved_before(error))?;
                 observer(DepthEvent::Batch {
                     epoch,
                     batch: self.history.batches - (epoch - 1) * per_epoch,
@@ -331,6 +331,16 @@ impl DepthLearner {
             ));
         }
         Ok(mean)
+    }
+
+    /// Unreadable images end a training but not the work done: the state is saved before the error is returned.
+    fn saved_before(&self, error: Error) -> Error {
+        if matches!(error, Error::Data(_))
+            && let Err(unsaved) = self.save_state()
+        {
+            tracing::warn!("the state could not be saved: {unsaved}");
+        }
+        error
     }
 
     fn stop_if_interrupted(&self) -> Result<()> {
