@@ -67,8 +67,18 @@ pub struct Config {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DataConfig {
-    /// Folder in the KITTI raw layout: `DATE/DRIVE/{image_02,oxts,…}` and `DATE/calib_*.txt`.
+    /// Folder in the KITTI raw layout: `DATE/DRIVE/{image_02,oxts,…}` and `DATE/calib_*.txt`. Default: none, the data
+    /// are a `manifest`'s.
+    #[serde(default)]
     pub root: PathBuf,
+    /// A pairs manifest in place of drives in the KITTI raw layout: its sequences are the drives, its columns the
+    /// measured and true poses ([`crate::data::Manifest`]). Default: none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub manifest: Option<PathBuf>,
+    /// With a manifest: vehicle axes into those of the camera, `x y z qx qy qz qw`, m. Default: the vehicle is where the
+    /// camera is, x forward, y left, z up.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera_from_vehicle: Option<[f64; 7]>,
     /// A synthetic data set to render at `root` when it is not there. Default: none, the data are there.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub synthetic: Option<SyntheticSettings>,
@@ -115,6 +125,12 @@ pub enum TruthConfig {
     Oxts,
     /// A trajectory file for each drive.
     Trajectory(TrajectoryConfig),
+    /// The columns `true_x` … `true_qw` of the pairs manifest.
+    Manifest {
+        /// Whose motion they describe. Default: camera2, the camera of the manifest.
+        #[serde(default = "camera_of_the_manifest")]
+        frame: MeasurementFrame,
+    },
 }
 
 /// A system of relative-pose measurements.
@@ -142,6 +158,12 @@ pub enum SystemSource {
     Trajectory(TrajectoryConfig),
     /// Relative poses in a CSV file for each drive.
     Relative(RelativeConfig),
+    /// The rows of the pairs manifest that bear the system's name.
+    Manifest {
+        /// Whose motion they describe. Default: camera2, the camera of the manifest.
+        #[serde(default = "camera_of_the_manifest")]
+        frame: MeasurementFrame,
+    },
 }
 
 /// A file of absolute poses for each drive.
@@ -221,6 +243,8 @@ pub enum DepthConfig {
         /// Path below `data.root`, with `{date}`, `{drive}` and `{frame}` (ten digits).
         path: String,
     },
+    /// The column `depth` of the pairs manifest: 16-bit PNG files, metres x 256, 0 = unknown.
+    Manifest {},
     /// A depth network; `relcov depth` keeps its maps.
     Monodepth2(NetworkDepthConfig),
 }
@@ -308,6 +332,10 @@ pub enum MinLogVariance {
     BelowMean(f64),
     /// These values, ln m² and ln rad².
     Absolute([f64; 6]),
+}
+
+fn camera_of_the_manifest() -> MeasurementFrame {
+    MeasurementFrame::Camera2
 }
 
 fn default_checkpoints() -> PathBuf {

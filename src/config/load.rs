@@ -86,6 +86,7 @@ impl Config {
             device: default_device(),
             data: DataConfig {
                 root: PathBuf::new(),
+                manifest: self.data.manifest.as_ref().map(|_| PathBuf::new()),
                 max_bad_fraction: default_max_bad_fraction(),
                 cache_mb: default_cache_mb(),
                 ..self.data.clone()

@@ -17,7 +17,7 @@ const EXTENDS: &str = "extends";
 const MOST_LAYERS: usize = 8;
 
 /// Keys whose values are paths.
-const PATH_KEYS: [&str; 4] = ["data.root", "checkpoints", "depth.weights", "depth.cache"];
+const PATH_KEYS: [&str; 5] = ["data.root", "data.manifest", "checkpoints", "depth.weights", "depth.cache"];
 
 /// The file's table with its paths made absolute and the overrides applied.
 pub(super) fn merge(

@@ -1,6 +1,6 @@
 //! What a configuration must satisfy beyond its types.
 
-use super::{Config, DepthConfig, DepthTrainingConfig, DriveConfig, MinLogVariance, NetworkDepthConfig};
+use super::{Config, DataConfig, DepthConfig, DepthTrainingConfig, DriveConfig, MinLogVariance, NetworkDepthConfig};
 use crate::depth::monodepth2::{MOST_SIZE, SIZE_STEP, is_input_size};
 use crate::depth::{DepthRange, ScaleRule};
 use crate::error::{Error, Result};
@@ -30,6 +30,7 @@ impl Config {
     }
 
     fn validate_data(&self) -> Result<()> {
+        self.validate_place()?;
         if let Some(synthetic) = &self.data.synthetic {
             synthetic.validate("data.synthetic.")?;
             self.validate_synthetic_drives(synthetic)?;
@@ -52,6 +53,30 @@ impl Config {
             }
         }
         Ok(())
+    }
+
+    /// Where the data are: below a folder, or listed in a file.
+    fn validate_place(&self) -> Result<()> {
+        let DataConfig { root, manifest, camera_from_vehicle, synthetic, .. } = &self.data;
+        let listed = manifest.is_some();
+        require(listed || !root.as_os_str().is_empty(), "data.root", || {
+            "names no folder; give data.root, or a pairs manifest as data.manifest".to_owned()
+        })?;
+        require(!(listed && synthetic.is_some()), "data.manifest", || {
+            "a manifest and data.synthetic exclude one another".to_owned()
+        })?;
+        require(!(listed && self.model.stereo), "model.stereo", || {
+            "a pairs manifest has no right images; set model.stereo = false".to_owned()
+        })?;
+        let Some([_, _, _, quaternion @ ..]) = camera_from_vehicle else { return Ok(()) };
+        let norm = quaternion.iter().map(|value| value * value).sum::<f64>().sqrt();
+        let finite = camera_from_vehicle.iter().flatten().all(|value| value.is_finite());
+        require(listed, "data.camera_from_vehicle", || {
+            "is for a pairs manifest; drives in the KITTI layout have calibration files".to_owned()
+        })?;
+        require(finite && (norm - 1.0).abs() < 1e-2, "data.camera_from_vehicle", || {
+            format!("x y z qx qy qz qw with a quaternion of length {norm:.4}; expected 1")
+        })
     }
 
     /// What the configuration reads must be among what it renders: found now rather than after rendering.
@@ -139,6 +164,9 @@ impl Config {
                 require(row.is_finite(), "depth.horizon_px", || format!("{row} is no image row"))
             }
             DepthConfig::Lidar { .. } | DepthConfig::Files { .. } => Ok(()),
+            DepthConfig::Manifest {} => require(self.data.manifest.is_some(), "depth.source", || {
+                "`manifest` needs data.manifest, the file that lists the depth maps".to_owned()
+            }),
             DepthConfig::Monodepth2(NetworkDepthConfig { scale, cache, .. }) => {
                 require(!cache.as_os_str().is_empty(), "depth.cache", || "names no folder".to_owned())?;
                 let factor = if let Some(ScaleRule::Fixed(factor)) = scale { *factor } else { 1.0 };

@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, Vector3};
 use crate::config::MeasurementFrame;
 use crate::error::{Error, Place, Result};
 use crate::files::{parse_numbers, read_text};
-use crate::geometry::{Pinhole, Pose};
+use crate::geometry::{ErrorFrame, Pinhole, Pose};
 
 /// Largest `|RᵀR − I|` of a rotation printed with KITTI's seven digits.
 const ROTATION_TOLERANCE: f64 = 1e-4;
@@ -56,6 +56,15 @@ impl Calibration {
             camera2_from_vehicle: camera2_from_velodyne * velodyne_from_imu,
             camera3_from_camera2,
         })
+    }
+
+    /// Vehicle axes into those of `frame`; the world's need the vehicle's pose in it.
+    pub fn axes_from_vehicle(&self, frame: ErrorFrame, world_from_vehicle: Option<&Pose>) -> Option<Pose> {
+        match frame {
+            ErrorFrame::Vehicle => Some(Pose::identity()),
+            ErrorFrame::Camera => Some(self.camera2_from_vehicle),
+            ErrorFrame::World => Some(Pose { translation: Vector3::zeros(), ..*world_from_vehicle? }),
+        }
     }
 
     /// Axes of a measurement into camera 2.

@@ -109,6 +109,9 @@ pub enum PairScope {
     Images,
     /// All with a measured and a true pose: what statistics of errors need.
     Poses,
+    /// Those with images and depth, whether or not the truth is known: what a prediction needs. The error of a pair
+    /// whose truth is not known is zero and means nothing.
+    Measured,
 }
 
 /// What one drive gives to one split.
@@ -149,10 +152,10 @@ impl Dataset {
     /// [`Dataset::require`].
     pub fn load(config: &Config, scope: PairScope) -> Result<Self> {
         let network = if let DepthConfig::Monodepth2(network) = &config.depth { Some(network) } else { None };
-        let network = network.filter(|_| scope == PairScope::Images);
+        let network = network.filter(|_| scope != PairScope::Poses);
         // Before anything is read: the maps must be there, and be those of the configuration.
         network.map_or(Ok(String::new()), |network| DepthCache::of(network).require(network, &[]))?;
-        let mut pairing = Pairing::new(config, scope);
+        let mut pairing = Pairing::new(config, scope)?;
         let held_out = config.data.validation.is_empty() && config.training.watch == WatchedSplit::Validation;
         let mut coverage = Vec::new();
         let mut collect = |name, drives: &[DriveConfig]| -> Result<Vec<Pair>> {

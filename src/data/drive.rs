@@ -5,13 +5,14 @@ use std::path::{Path, PathBuf};
 
 use super::calibration::Calibration;
 use super::image::{RgbImage, read_image};
+use super::manifest::Listed;
 use super::oxts::{OxtsPacket, world_from_vehicle};
 use crate::error::{Error, Place, Result};
 use crate::files::read_text;
 use crate::geometry::Pose;
 
 /// Frame indices above this are taken for mistakes.
-const LARGEST_FRAME: usize = 1_000_000_000;
+pub(super) const LARGEST_FRAME: usize = 1_000_000_000;
 
 /// Files by frame index.
 pub type FrameFiles = BTreeMap<usize, PathBuf>;
@@ -35,6 +36,8 @@ pub struct Drive {
     pub timestamps_s: BTreeMap<usize, f64>,
     /// Packets that could not be read; their frames have no pose.
     pub problems: Vec<String>,
+    /// What a pairs manifest says of it; `None` for drives in the KITTI layout.
+    pub listed: Option<Listed>,
 }
 
 impl Drive {
@@ -75,6 +78,7 @@ impl Drive {
             oxts_poses,
             timestamps_s: load_timestamps(&folder, &mut problems),
             problems,
+            listed: None,
         })
     }
 
@@ -104,15 +108,18 @@ impl Drive {
                 path,
                 Place::Whole,
                 format!("{}x{} pixels", image.width, image.height),
-                format!("{}x{} as in calib_cam_to_cam.txt (S_rect)", expected.width, expected.height),
+                match self.listed {
+                    None => format!("{}x{} as in calib_cam_to_cam.txt (S_rect)", expected.width, expected.height),
+                    Some(_) => format!("{}x{} as the first of the sequence", expected.width, expected.height),
+                },
             ));
         }
         Ok(image)
     }
 
-    /// The recording date, `2011_09_30`.
+    /// The recording date, `2011_09_30`; of a manifest's sequence, its name.
     pub fn date(&self) -> &str {
-        &self.name[..10]
+        if self.listed.is_some() { &self.name } else { &self.name[..10] }
     }
 
     /// The name without `_sync`, as measurement files use it.

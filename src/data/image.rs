@@ -57,9 +57,16 @@ impl RgbImage {
 /// # Errors
 /// The file cannot be read or decoded.
 pub fn read_image(path: &Path) -> Result<RgbImage> {
-    let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
-    let image = image::load_from_memory(&bytes)
-        .map_err(|error| Error::malformed(path, Place::Whole, error.to_string(), "a complete PNG or JPEG image"))?
+    decode_image(&std::fs::read(path).map_err(Error::io("read", path))?, path)
+}
+
+/// Decodes the content of a PNG or JPEG file; `origin` names it in errors.
+///
+/// # Errors
+/// It cannot be decoded.
+pub fn decode_image(bytes: &[u8], origin: &Path) -> Result<RgbImage> {
+    let image = image::load_from_memory(bytes)
+        .map_err(|error| Error::malformed(origin, Place::Whole, error.to_string(), "a complete PNG or JPEG image"))?
         .into_rgb8();
     Ok(RgbImage { width: image.width() as usize, height: image.height() as usize, bytes: image.into_raw() })
 }

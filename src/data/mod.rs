@@ -1,4 +1,4 @@
-//! From files to pairs: KITTI raw drives, their calibration, packets and frames; the pairs of each
+//! From files to pairs: KITTI raw drives, their calibration, packets and frames, or a pairs manifest; the pairs of each
 //! split; reading them ahead of the network; and the only door from the CPU to a device
 //! ([`PairBatch`]).
 //!
@@ -10,16 +10,18 @@ mod dataset;
 mod drive;
 mod image;
 mod loader;
+mod manifest;
 mod oxts;
 mod pairing;
 mod reader;
 
-pub use self::image::{RgbImage, read_image};
+pub use self::image::{RgbImage, decode_image, read_image};
 pub use batch::{PairBatch, PairNumbers, RightBatch};
 pub use calibration::Calibration;
 pub use dataset::{Coverage, Dataset, Pair, PairId, PairScope, Split, SplitName};
 pub use drive::Drive;
 pub use loader::{BatchLoader, Choice, LoadedBatch};
+pub use manifest::{Listed, Manifest, Motions, camera_axes_from_vehicle};
 pub(crate) use oxts::EARTH_RADIUS_M;
 pub use oxts::{OxtsPacket, world_from_vehicle};
 pub use reader::{BadFrame, PairReader, PairSample, RightImages};

@@ -3,13 +3,16 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+
 use super::dataset::{Coverage, Pair, PairId, PairScope, SplitName};
 use super::drive::Drive;
+use super::manifest::{Manifest, camera_axes_from_vehicle};
 use crate::config::{Config, DriveConfig, MeasurementFrame};
 use crate::depth::has_depth;
 use crate::error::{Error, Result};
-use crate::geometry::{ErrorFrame, Pose, Tangent};
-use crate::systems::{Measurements, Trajectory, load_measurements, load_true_poses};
+use crate::geometry::{Pose, Tangent};
+use crate::systems::{Measurements, Truth, load_measurements};
 
 /// Joins drive after drive; each is read once, however many splits name it.
 pub(super) struct Pairing<'a> {
@@ -17,12 +20,25 @@ pub(super) struct Pairing<'a> {
     scope: PairScope,
     drives: Vec<Drive>,
     /// For each drive: the truth and each system's measurements.
-    sources: Vec<(Trajectory, Vec<Measurements>)>,
+    sources: Vec<(Truth, Vec<Measurements>)>,
+    /// The manifest and its camera, where the data are listed in one.
+    manifest: Option<(Manifest, Pose)>,
 }
 
 impl<'a> Pairing<'a> {
-    pub(super) fn new(config: &'a Config, scope: PairScope) -> Self {
-        Self { config, scope, drives: Vec::new(), sources: Vec::new() }
+    /// Reads the manifest, if the data are listed in one.
+    ///
+    /// # Errors
+    /// The manifest is missing or malformed.
+    pub(super) fn new(config: &'a Config, scope: PairScope) -> Result<Self> {
+        let manifest = match &config.data.manifest {
+            None => None,
+            Some(path) => {
+                let camera = config.data.camera_from_vehicle.map(pose_of_numbers);
+                Some((Manifest::load(path)?, camera.unwrap_or_else(camera_axes_from_vehicle)))
+            }
+        };
+        Ok(Self { config, scope, drives: Vec::new(), sources: Vec::new(), manifest })
     }
 
     /// The drives seen so far.
@@ -38,7 +54,7 @@ impl<'a> Pairing<'a> {
     pub(super) fn pair_drive(&mut self, split: SplitName, wanted: &DriveConfig) -> Result<(Coverage, Vec<Pair>)> {
         let index = self.drive_index(&wanted.drive)?;
         let drive = &self.drives[index];
-        let (true_poses, systems) = &self.sources[index];
+        let (truth, systems) = &self.sources[index];
         let root = &self.config.data.root;
         let wanted_frame = |frame: usize| wanted.frames.is_none_or(|[first, end]| (first..end).contains(&frame));
         let cameras =
@@ -48,11 +64,8 @@ impl<'a> Pairing<'a> {
         };
         let has_depth = |&(_, target): &(usize, usize)| has_depth(&self.config.depth, drive, target, root);
 
-        let pose_pairs: Vec<(usize, usize)> = true_poses
-            .keys()
-            .map(|&source| (source, source + 1))
-            .filter(|&(source, target)| wanted_frame(source) && true_poses.contains_key(&target))
-            .collect();
+        let pose_pairs: Vec<(usize, usize)> =
+            truth.motions().into_keys().filter(|&(source, _)| wanted_frame(source)).collect();
         let image_pairs: Vec<_> = pose_pairs.iter().copied().filter(has_images).collect();
         let depth_pairs = image_pairs.iter().copied().filter(has_depth).count();
 
@@ -62,30 +75,32 @@ impl<'a> Pairing<'a> {
         for (system, measurements) in systems.iter().enumerate() {
             let mut measured = 0;
             for (&(source, target), measured_pose) in &measurements.relative_poses {
-                let (Some(world_from_source), Some(world_from_target)) =
-                    (true_poses.get(&source), true_poses.get(&target))
-                else {
-                    continue;
-                };
-                if !wanted_frame(source) {
+                let true_motion = truth.motion(source, target);
+                if !wanted_frame(source) || (true_motion.is_none() && self.scope != PairScope::Measured) {
                     continue;
                 }
                 measured += 1;
                 let pair = (source, target);
-                if self.scope == PairScope::Images && !(has_images(&pair) && has_depth(&pair)) {
+                if self.scope != PairScope::Poses && !(has_images(&pair) && has_depth(&pair)) {
                     continue;
                 }
                 let vehicle_from_camera2 = drive.calibration.camera2_from_vehicle.inverse();
                 let camera2_from_body = drive.calibration.camera2_from(measurements.frame);
                 let source_from_target = measured_pose.conjugated_by(&camera2_from_body);
                 let measured_motion = measured_pose.conjugated_by(&(vehicle_from_camera2 * camera2_from_body));
-                let true_motion = world_from_source.inverse() * *world_from_target;
-                let frame_from_vehicle = error_frame_axes(self.config.data.error_frame, world_from_source, drive);
+                let world_from_vehicle = truth.world_from_vehicle(source);
+                let Some(frame_from_vehicle) =
+                    drive.calibration.axes_from_vehicle(self.config.data.error_frame, world_from_vehicle)
+                else {
+                    return Err(no_world(&drive.name, source));
+                };
                 // A system that is the truth has no error, not one of rounding.
-                let is_truth = measurements.frame == MeasurementFrame::Vehicle && *measured_pose == true_motion;
-                let error = match is_truth {
-                    true => Tangent::zeros(),
-                    false => Pose::error(
+                let is_truth = |true_motion: &Pose| {
+                    measurements.frame == MeasurementFrame::Vehicle && measured_pose == true_motion
+                };
+                let error = match true_motion.filter(|true_motion| !is_truth(true_motion)) {
+                    None => Tangent::zeros(),
+                    Some(true_motion) => Pose::error(
                         &measured_motion.conjugated_by(&frame_from_vehicle),
                         &true_motion.conjugated_by(&frame_from_vehicle),
                     ),
@@ -107,7 +122,7 @@ impl<'a> Pairing<'a> {
             split,
             drive: index,
             frames: wanted.frames,
-            true_poses: true_poses.keys().filter(|&&frame| wanted_frame(frame)).count(),
+            true_poses: truth.frames().filter(|&frame| wanted_frame(frame)).count(),
             images: count(&drive.images),
             right_images: count(&drive.right_images),
             scans: count(&drive.scans),
@@ -125,7 +140,10 @@ impl<'a> Pairing<'a> {
             return Ok(index);
         }
         let root = &self.config.data.root;
-        let drive = Drive::load(root, name)?;
+        let drive = match &self.manifest {
+            None => Drive::load(root, name)?,
+            Some((manifest, camera_from_vehicle)) => manifest.drive(name, camera_from_vehicle)?,
+        };
         let packets = drive.oxts_poses.len() + drive.problems.len();
         let limit = self.config.data.max_bad_fraction;
         if drive.problems.len() as f64 > limit * packets as f64 {
@@ -136,7 +154,7 @@ impl<'a> Pairing<'a> {
             )));
         }
         if self.config.model.stereo
-            && self.scope == PairScope::Images
+            && self.scope != PairScope::Poses
             && drive.calibration.camera3_from_camera2.is_none()
         {
             return Err(Error::config(
@@ -146,25 +164,28 @@ impl<'a> Pairing<'a> {
                 ),
             ));
         }
-        let true_poses = load_true_poses(&self.config.truth, &drive, root)?;
+        let truth = Truth::load(&self.config.truth, &drive, root)?;
         let systems = self
             .config
             .systems
             .iter()
-            .map(|system| load_measurements(&system.source, &drive, root, &true_poses))
+            .map(|system| load_measurements(system, &drive, root, &truth))
             .collect::<Result<_>>()?;
         tracing::debug!("{name}: {} packets, {} images", drive.oxts_poses.len(), drive.images.len());
         self.drives.push(drive);
-        self.sources.push((true_poses, systems));
+        self.sources.push((truth, systems));
         Ok(self.drives.len() - 1)
     }
 }
 
-/// The axes of errors: where vehicle axes lie in them.
-fn error_frame_axes(frame: ErrorFrame, world_from_source: &Pose, drive: &Drive) -> Pose {
-    match frame {
-        ErrorFrame::Vehicle => Pose::identity(),
-        ErrorFrame::Camera => drive.calibration.camera2_from_vehicle,
-        ErrorFrame::World => Pose { translation: nalgebra::Vector3::zeros(), ..*world_from_source },
-    }
+/// A pose of `x y z qx qy qz qw`, which the configuration has checked.
+fn pose_of_numbers([x, y, z, qx, qy, qz, qw]: [f64; 7]) -> Pose {
+    let rotation = UnitQuaternion::from_quaternion(Quaternion::new(qw, qx, qy, qz)).to_rotation_matrix();
+    Pose::new(rotation, Vector3::new(x, y, z))
+}
+
+fn no_world(drive: &str, frame: usize) -> Error {
+    Error::Data(format!(
+        "{drive}, frame {frame}: errors in axes of the world (data.error_frame) need the true absolute pose there, which the data do not have"
+    ))
 }

@@ -32,9 +32,16 @@ pub(super) fn depth_path(template: &str, drive: &Drive, frame: usize, root: &Pat
 /// # Errors
 /// The file cannot be read or decoded, or is not 16-bit grey.
 pub fn read_depth_png(path: &Path) -> Result<DepthMap> {
-    let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
+    decode_depth_png(&std::fs::read(path).map_err(Error::io("read", path))?, path)
+}
+
+/// Decodes the content of a depth PNG; `origin` names it in errors.
+///
+/// # Errors
+/// It cannot be decoded, or is not 16-bit grey.
+pub fn decode_depth_png(bytes: &[u8], path: &Path) -> Result<DepthMap> {
     let expected = "a 16-bit grey PNG, metres x 256";
-    let image = image::load_from_memory_with_format(&bytes, ImageFormat::Png)
+    let image = image::load_from_memory_with_format(bytes, ImageFormat::Png)
         .map_err(|error| Error::malformed(path, Place::Whole, error.to_string(), expected))?;
     let DynamicImage::ImageLuma16(image) = image else {
         return Err(Error::malformed(path, Place::Whole, format!("{:?} pixels", image.color()), expected));

@@ -1,6 +1,6 @@
 //! Depth of a frame from the source that a configuration names.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::{DepthCache, DepthMap, files, fill_gaps, ground_plane_depth, project_scan, read_depth_png, read_scan};
 use crate::config::DepthConfig;
@@ -14,6 +14,7 @@ pub fn has_depth(config: &DepthConfig, drive: &Drive, frame: usize, root: &Path)
         DepthConfig::GroundPlane { .. } => true,
         DepthConfig::Lidar { .. } => drive.scans.contains_key(&frame),
         DepthConfig::Files { path } => files::depth_path(path, drive, frame, root).is_file(),
+        DepthConfig::Manifest {} => listed_depth(drive, frame).is_some_and(|path| path.is_file()),
         DepthConfig::Monodepth2(config) => DepthCache::of(config).map_path(drive, frame).is_file(),
     }
 }
@@ -40,6 +41,10 @@ pub fn load_depth(
     Ok(depth)
 }
 
+fn listed_depth(drive: &Drive, frame: usize) -> Option<&PathBuf> {
+    drive.listed.as_ref()?.depth.get(&frame)
+}
+
 /// The same at the size that the source has: that of its files, else the camera's.
 ///
 /// # Errors
@@ -54,8 +59,7 @@ pub fn native_depth(
 ) -> Result<DepthMap> {
     match config {
         DepthConfig::GroundPlane { camera_height_m, horizon_px, max_depth_m } => {
-            let full = &drive.calibration.camera2;
-            let horizon_px = horizon_px.map(|row| (row + 0.5) * camera.height as f64 / full.height as f64 - 0.5);
+            let horizon_px = horizon_px.map(|row| drive.calibration.camera2.resized_row(row, camera.height));
             Ok(ground_plane_depth(camera, *camera_height_m, horizon_px, *max_depth_m))
         }
         DepthConfig::Lidar { fill_radius_px } => {
@@ -69,6 +73,12 @@ pub fn native_depth(
             Ok(fill_gaps(&sparse, image, *fill_radius_px))
         }
         DepthConfig::Files { path } => read_depth_png(&files::depth_path(path, drive, frame, root)),
+        DepthConfig::Manifest {} => read_depth_png(listed_depth(drive, frame).ok_or_else(|| {
+            Error::Data(format!(
+                "{}, frame {frame}: the manifest lists no depth; choose another depth.source",
+                drive.name
+            ))
+        })?),
         DepthConfig::Monodepth2(config) => DepthCache::of(config).load(drive, frame),
     }
 }

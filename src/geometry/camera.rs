@@ -38,6 +38,11 @@ impl Pinhole {
         }
     }
 
+    /// The row of a view of `height` rows that a row of this one becomes.
+    pub fn resized_row(&self, row: f64, height: usize) -> f64 {
+        (row + 0.5) * height as f64 / self.height as f64 - 0.5
+    }
+
     /// Pixel of a point in front of the camera; metres in, pixels out.
     pub fn project(&self, point: &Vector3<f64>) -> Option<Vector2<f64>> {
         (point.z > 0.0)

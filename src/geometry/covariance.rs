@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix6, Vector6};
 
-use super::Pose;
+use super::{Pose, TRANSLATION};
 
 /// The square of a kilometre over this is a finite number.
 const LEAST_VARIANCE: f64 = 1e-280;
@@ -114,16 +114,52 @@ impl Covariance6 {
         Self(Matrix6::from_fn(|row, column| self.0[(row, column)] * factors[row].sqrt() * factors[column].sqrt()))
     }
 
+    /// No error at all.
+    pub fn zero() -> Self {
+        Self(Matrix6::zeros())
+    }
+
+    /// The covariance of the sum of two independent errors.
+    pub fn plus(&self, other: &Self) -> Self {
+        Self(self.0 + other.0)
+    }
+
+    /// The covariance of `J e`.
+    pub fn mapped(&self, jacobian: &Matrix6<f64>) -> Self {
+        Self(symmetric(&(jacobian * self.0 * jacobian.transpose())))
+    }
+
+    /// The covariance with its diagonal lifted to least variances of translation (m²) and rotation (rad²). What is
+    /// positive semidefinite stays so.
+    pub fn with_floor(&self, [translation, rotation]: [f64; 2]) -> Self {
+        let mut lifted = self.0;
+        for component in 0..6 {
+            let least = if TRANSLATION.contains(&component) { translation } else { rotation };
+            lifted[(component, component)] = lifted[(component, component)].max(least);
+        }
+        Self(lifted)
+    }
+
+    /// `R⁻¹`; `None` for a matrix that is not positive definite.
+    pub fn information(&self) -> Option<Matrix6<f64>> {
+        Some(symmetric(&self.0.cholesky()?.inverse()))
+    }
+
     /// The same error in other axes: `Σ' = Ad_X Σ Ad_Xᵀ` with `X = other_from_self`.
     pub fn transported(&self, other_from_self: &Pose) -> Self {
-        let adjoint = other_from_self.adjoint();
-        Self(symmetric(&(adjoint * self.0 * adjoint.transpose())))
+        self.mapped(&other_from_self.adjoint())
     }
 
     /// The covariance of the right perturbation of the same measurement: `Ad_{T⁻¹} Σ Ad_{T⁻¹}ᵀ`,
     /// axes of the target frame.
     pub fn right_of(&self, source_from_target: &Pose) -> Self {
         self.transported(&source_from_target.inverse())
+    }
+
+    /// The covariance of the left perturbation, where this is that of the right one: `Ad_T Σ Ad_Tᵀ`, axes of the source
+    /// frame.
+    pub fn left_of(&self, source_from_target: &Pose) -> Self {
+        self.transported(source_from_target)
     }
 }
 

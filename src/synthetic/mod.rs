@@ -25,6 +25,7 @@ mod texture;
 mod world;
 
 pub use folder::{Replace, drive_name, is_rendered, is_synthetic};
+pub(crate) use random::{Purpose, Random};
 pub use recording::{RecordingProgress, record};
 pub use settings::SyntheticSettings;
 pub use systems::SYSTEMS;

@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 
 /// What a stream of random numbers is for; every purpose and index has a stream of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Purpose {
+pub(crate) enum Purpose {
     /// The seed of a drive.
     Drive,
     /// Bends of the road.
@@ -21,6 +21,8 @@ pub(super) enum Purpose {
     Lidar,
     /// Choice of landmarks, frame by frame.
     Landmarks,
+    /// Errors of simulated fixes.
+    Fixes,
     /// Errors of a system, pair by pair.
     Errors(u8),
 }
@@ -35,6 +37,7 @@ impl Purpose {
             Self::Exposure => 5,
             Self::Lidar => 6,
             Self::Landmarks => 7,
+            Self::Fixes => 8,
             Self::Errors(system) => 16 + u64::from(system),
         }
     }
@@ -42,10 +45,10 @@ impl Purpose {
 
 /// A stream of random numbers.
 #[derive(Clone, Debug)]
-pub(super) struct Random(ChaCha8Rng);
+pub(crate) struct Random(ChaCha8Rng);
 
 impl Random {
-    pub(super) fn new(seed: u64, purpose: Purpose, index: u64) -> Self {
+    pub(crate) fn new(seed: u64, purpose: Purpose, index: u64) -> Self {
         let mut generator = ChaCha8Rng::seed_from_u64(seed);
         generator.set_stream(purpose.number() << 48 | index & 0xffff_ffff_ffff);
         Self(generator)
@@ -72,7 +75,7 @@ impl Random {
     }
 
     /// Standard normal (Box and Muller 1958).
-    pub(super) fn normal(&mut self) -> f64 {
+    pub(crate) fn normal(&mut self) -> f64 {
         let radius = (-2.0 * libm::log(1.0 - self.uniform())).sqrt();
         radius * libm::cos(std::f64::consts::TAU * self.uniform())
     }

@@ -6,9 +6,10 @@ use std::path::{Path, PathBuf};
 use super::relative::parse_relative_poses;
 use super::sequences::odometry_sequence;
 use super::trajectory::{Trajectory, parse_kitti_trajectory, parse_tum_trajectory};
-use crate::config::{MeasurementFrame, SystemSource, TrajectoryConfig, TrajectoryFormat, TruthConfig};
+use super::truth::{Truth, consecutive};
+use crate::config::{MeasurementFrame, SystemConfig, SystemSource, TrajectoryConfig, TrajectoryFormat};
 use crate::data::Drive;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::files::read_text;
 use crate::geometry::{Covariance6, Pose};
 
@@ -28,33 +29,12 @@ pub struct Measurements {
     pub missing_file: Option<PathBuf>,
 }
 
-/// Poses `world_from_vehicle` that count as true.
-///
-/// # Errors
-/// The trajectory file is malformed. A file that does not exist gives no poses.
-pub fn load_true_poses(truth: &TruthConfig, drive: &Drive, root: &Path) -> Result<Trajectory> {
-    match truth {
-        TruthConfig::Oxts => Ok(drive.oxts_poses.clone()),
-        TruthConfig::Trajectory(config) => {
-            let calibration = &drive.calibration;
-            let body_from_vehicle = calibration.camera2_from(config.frame).inverse() * calibration.camera2_from_vehicle;
-            let poses = load_trajectory(config, drive, root)?.unwrap_or_default();
-            Ok(poses.into_iter().map(|(frame, world_from_body)| (frame, world_from_body * body_from_vehicle)).collect())
-        }
-    }
-}
-
 /// Measured relative poses of one system on one drive.
 ///
 /// # Errors
 /// The measurement file is malformed. A file that does not exist gives no measurements and is named
 /// in the result.
-pub fn load_measurements(
-    source: &SystemSource,
-    drive: &Drive,
-    root: &Path,
-    true_poses: &Trajectory,
-) -> Result<Measurements> {
+pub fn load_measurements(system: &SystemConfig, drive: &Drive, root: &Path, truth: &Truth) -> Result<Measurements> {
     let found = |frame, relative_poses| Measurements {
         frame,
         relative_poses,
@@ -62,13 +42,23 @@ pub fn load_measurements(
         missing_file: None,
     };
     let missing = |frame, path| Measurements { missing_file: Some(path), ..found(frame, BTreeMap::new()) };
-    Ok(match source {
-        SystemSource::Truth {} => found(MeasurementFrame::Vehicle, consecutive(true_poses)),
+    Ok(match &system.source {
+        SystemSource::Truth {} => found(MeasurementFrame::Vehicle, truth.motions()),
         SystemSource::Oxts {} => found(MeasurementFrame::Vehicle, consecutive(&drive.oxts_poses)),
         SystemSource::Trajectory(config) => match load_trajectory(config, drive, root)? {
             Some(trajectory) => found(config.frame, consecutive(&trajectory)),
             None => missing(config.frame, expand(&config.path, drive, root)),
         },
+        SystemSource::Manifest { frame } => {
+            let listed = drive.listed.as_ref().ok_or_else(|| {
+                let problem = format!(
+                    "source `manifest` of `{}` needs data.manifest, the file that lists its pairs",
+                    system.name
+                );
+                Error::config("systems", problem)
+            })?;
+            found(*frame, listed.measurements.get(&system.name).cloned().unwrap_or_default())
+        }
         SystemSource::Relative(config) => {
             let path = expand(&config.path, drive, root);
             if !path.exists() {
@@ -87,7 +77,7 @@ pub fn load_measurements(
     })
 }
 
-fn load_trajectory(config: &TrajectoryConfig, drive: &Drive, root: &Path) -> Result<Option<Trajectory>> {
+pub(super) fn load_trajectory(config: &TrajectoryConfig, drive: &Drive, root: &Path) -> Result<Option<Trajectory>> {
     let path = expand(&config.path, drive, root);
     if !path.exists() {
         return Ok(None);
@@ -103,18 +93,6 @@ fn load_trajectory(config: &TrajectoryConfig, drive: &Drive, root: &Path) -> Res
         TrajectoryFormat::Tum => parse_tum_trajectory(&text, &path, &drive.timestamps_s, TUM_TOLERANCE_S)?,
     };
     Ok(Some(trajectory))
-}
-
-/// Motions between neighbouring frames.
-fn consecutive(trajectory: &Trajectory) -> BTreeMap<(usize, usize), Pose> {
-    trajectory
-        .iter()
-        .filter_map(|(&source, world_from_source)| {
-            let target = source + 1;
-            let world_from_target = trajectory.get(&target)?;
-            Some(((source, target), world_from_source.inverse() * *world_from_target))
-        })
-        .collect()
 }
 
 fn expand(template: &str, drive: &Drive, root: &Path) -> PathBuf {

@@ -1,6 +1,6 @@
 //! Where measured poses come from, and how systems are mixed into mini-batches.
 //!
-//! In: trajectory files (KITTI, TUM), CSV files of relative poses, or the truth itself. Out: for each
+//! In: trajectory files (KITTI, TUM), CSV files of relative poses, a pairs manifest, or the truth itself. Out: for each
 //! drive and system the measured `source_from_target` of frame pairs, with the body they describe.
 //! Leaves pairing with images and truth to `data`.
 
@@ -9,9 +9,13 @@ mod mixing;
 mod relative;
 mod sequences;
 mod trajectory;
+mod truth;
 
-pub use measurements::{Measurements, load_measurements, load_true_poses};
+pub use measurements::{Measurements, load_measurements};
 pub use mixing::{BatchPlan, Mixer};
+pub(crate) use relative::RIGHT;
 pub use relative::{RelativePose, format_relative_pose, parse_relative_poses, relative_pose_header};
 pub use sequences::{OdometrySequence, odometry_sequence};
 pub use trajectory::{Trajectory, parse_kitti_trajectory, parse_tum_trajectory};
+pub(crate) use trajectory::{parse_frame_index, pose_from_quaternion};
+pub use truth::Truth;

@@ -27,15 +27,24 @@ pub struct RelativePose {
     pub covariance: Option<Covariance6>,
 }
 
-/// Parses a CSV of relative poses; a header line that begins with `source` is passed over.
+/// What a remark says where covariances are those of the right perturbation.
+pub(crate) const RIGHT: &str = "perturbation right";
+
+/// Parses a CSV of relative poses. Lines that begin with `#` are remarks, and the first other line may be a header that
+/// begins with `source`. Covariances are those of the left perturbation, unless a remark says `perturbation right`.
 ///
 /// # Errors
 /// Wrong count, numbers that are not finite, a quaternion far from unit length, a covariance that
 /// is none, or a pair that does not come after the one before; the message names the line.
 pub fn parse_relative_poses(text: &str, path: &Path) -> Result<Vec<RelativePose>> {
     let mut poses: Vec<RelativePose> = Vec::new();
+    let (mut right, mut header_may_come) = (false, true);
     for (index, line) in text.lines().enumerate() {
-        let header = index == 0 && line.trim_start().starts_with("source");
+        if line.trim_start().starts_with('#') {
+            right |= line.contains(RIGHT);
+            continue;
+        }
+        let header = std::mem::take(&mut header_may_come) && line.trim_start().starts_with("source");
         if line.trim().is_empty() || header {
             continue;
         }
@@ -68,6 +77,10 @@ pub fn parse_relative_poses(text: &str, path: &Path) -> Result<Vec<RelativePose>
                 Covariance6::from_matrix(Matrix6::from_row_slice(entries))
                     .map_err(|error| malformed(error.to_string(), "a symmetric, non-negative 6x6 covariance"))?,
             ),
+        };
+        let covariance = match (right, covariance) {
+            (true, Some(covariance)) => Some(covariance.left_of(&source_from_target)),
+            (_, covariance) => covariance,
         };
         poses.push(RelativePose { source, target, source_from_target, covariance });
     }

@@ -120,7 +120,7 @@ pub fn parse_tum_trajectory(
 }
 
 /// A frame index written among numbers.
-pub(super) fn parse_frame_index(value: f64, path: &Path, place: &Place) -> Result<usize> {
+pub(crate) fn parse_frame_index(value: f64, path: &Path, place: &Place) -> Result<usize> {
     if value >= 0.0 && value.fract() == 0.0 && value < 1e9 {
         Ok(value as usize)
     } else {
@@ -129,7 +129,7 @@ pub(super) fn parse_frame_index(value: f64, path: &Path, place: &Place) -> Resul
 }
 
 /// A pose from translation and quaternion `x y z w`, which is normalised.
-pub(super) fn pose_from_quaternion(
+pub(crate) fn pose_from_quaternion(
     translation: Vector3<f64>,
     [x, y, z, w]: [f64; 4],
     path: &Path,

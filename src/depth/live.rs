@@ -1,0 +1,94 @@
+//! Depth of single images as they come: what a model takes where no depth is given with an image.
+
+use std::sync::Mutex;
+
+use burn::tensor::Device;
+
+use super::{DepthEstimator, DepthMap, ScaleRule, ground_plane_depth};
+use crate::config::DepthConfig;
+use crate::data::RgbImage;
+use crate::error::{Error, Result};
+use crate::geometry::Pinhole;
+
+/// Makes depth from an image and its camera alone: a flat road, or a depth network whose depths are metres.
+pub struct LiveDepth {
+    source: Source,
+}
+
+enum Source {
+    GroundPlane {
+        camera_height_m: f64,
+        horizon_px: Option<f64>,
+        max_depth_m: f64,
+        size: [usize; 2],
+        /// The road looks the same from every image of a camera.
+        last: Mutex<Option<(Pinhole, DepthMap)>>,
+    },
+    Network {
+        estimator: Box<DepthEstimator>,
+        metres_a_unit: f64,
+    },
+    /// Nothing can be made: why.
+    Missing(String),
+}
+
+impl LiveDepth {
+    /// What a configuration's source gives without files beside the image; `size` is width and height of the road's map,
+    /// px.
+    ///
+    /// # Errors
+    /// The weights of its depth network cannot be loaded.
+    pub fn new(config: &DepthConfig, size: [usize; 2], device: &Device) -> Result<Self> {
+        let missing = |source: &str| {
+            Source::Missing(format!(
+                "no depth was given, and depth.source = \"{source}\" has none for a single image; give one, or take ground_plane or a depth network with a known scale"
+            ))
+        };
+        let source = match config {
+            DepthConfig::GroundPlane { camera_height_m, horizon_px, max_depth_m } => Source::GroundPlane {
+                camera_height_m: *camera_height_m,
+                horizon_px: *horizon_px,
+                max_depth_m: *max_depth_m,
+                size,
+                last: Mutex::default(),
+            },
+            DepthConfig::Monodepth2(network) => {
+                let estimator = Box::new(DepthEstimator::load(&network.weights, device)?);
+                match network.scale.unwrap_or(estimator.default_scale) {
+                    ScaleRule::Fixed(metres_a_unit) => Source::Network { estimator, metres_a_unit },
+                    ScaleRule::Mean | ScaleRule::Median => Source::Missing(
+                        "no depth was given, and the depth network's scale is taken from LiDAR; give a depth, or a known factor: depth.scale.fixed".to_owned(),
+                    ),
+                }
+            }
+            DepthConfig::Lidar { .. } => missing("lidar"),
+            DepthConfig::Files { .. } => missing("files"),
+            DepthConfig::Manifest {} => missing("manifest"),
+        };
+        Ok(Self { source })
+    }
+
+    /// Depth of an image, m; any size.
+    ///
+    /// # Errors
+    /// The source has none for a single image, or its network cannot take this one.
+    pub fn estimate(&self, image: &RgbImage, camera: &Pinhole) -> Result<DepthMap> {
+        match &self.source {
+            Source::GroundPlane { camera_height_m, horizon_px, max_depth_m, size: [width, height], last } => {
+                let mut last = last.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+                if let Some((_, depth)) = last.as_ref().filter(|(known, _)| known == camera) {
+                    return Ok(depth.clone());
+                }
+                let small = camera.resized(*width, *height);
+                let horizon_px = horizon_px.map(|row| camera.resized_row(row, *height));
+                let depth = ground_plane_depth(&small, *camera_height_m, horizon_px, *max_depth_m);
+                *last = Some((*camera, depth.clone()));
+                Ok(depth)
+            }
+            Source::Network { estimator, metres_a_unit } => {
+                Ok(estimator.estimate(std::slice::from_ref(image))?.swap_remove(0).scaled(*metres_a_unit))
+            }
+            Source::Missing(problem) => Err(Error::Data(problem.clone())),
+        }
+    }
+}
