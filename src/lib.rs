@@ -29,7 +29,9 @@ pub mod depth;
 pub mod device;
 pub mod error;
 pub mod evaluation;
+pub mod export;
 mod files;
+pub mod fusion;
 pub mod geometry;
 pub mod kernels;
 pub mod loss;
@@ -44,7 +46,7 @@ pub mod warp;
 
 pub use error::{Error, Result};
 pub use geometry::Covariance6;
-pub use predict::{Measurement, Model, RightView};
+pub use predict::{Measurement, Model, RightView, Stream, StreamSettings};
 
 #[doc(hidden)]
 pub mod cli;

@@ -1,0 +1,298 @@
+//! Measured motions with their covariances in the forms that other programs read.
+//!
+//! In: [`MeasuredMotions`], one system's relative poses on one drive with covariances of the left perturbation, order ρ
+//! then φ, all in one set of axes. Out: text, each format with its own order, side and units:
+//!
+//! | [`Format`] | a line is | covariance |
+//! |---|---|---|
+//! | `csv` | a relative pose: `source,target,x,y,z,qx,qy,qz,qw` and 36 values | ρ, φ; left or right |
+//! | `jsonl` | the same with its names, as a JSON object | ρ, φ; left or right |
+//! | `tum`, `kitti` | an absolute pose of the chained trajectory, and 36 values | ρ, φ; left or right |
+//! | `g2o` | `VERTEX_SE3:QUAT` and `EDGE_SE3:QUAT` | 21 information values, t then q, right |
+//! | `gtsam` | a `BetweenFactorPose3`: keys, pose and 36 values | **φ, ρ**, right |
+//! | `ros` | a `geometry_msgs/PoseWithCovarianceStamped` as JSON (which is YAML) | position, then fixed axes |
+//!
+//! Leaves the choice of axes to its caller and writing files to `cli`.
+
+mod chain;
+mod csv;
+mod g2o;
+mod gtsam;
+mod jsonl;
+mod ros;
+mod trajectory;
+
+use nalgebra::{Matrix6, UnitQuaternion};
+
+use crate::error::{Error, Result};
+use crate::geometry::{Covariance6, Pose, ROTATION, TRANSLATION};
+
+pub use chain::Chain;
+pub(crate) use jsonl::JsonCovariance;
+pub use trajectory::fused_trajectory;
+
+/// One system's measurements on one drive.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MeasuredMotions {
+    /// Name of the system.
+    pub system: String,
+    /// Name of the drive.
+    pub drive: String,
+    /// Name of the axes of poses and covariances.
+    pub frame: String,
+    /// The measurements, in the order of their frames.
+    pub motions: Vec<MeasuredMotion>,
+}
+
+/// A relative pose with its covariance.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MeasuredMotion {
+    /// Frame i.
+    pub source: usize,
+    /// Frame i + 1.
+    pub target: usize,
+    /// Their times, s, where they are known.
+    pub times_s: Option<[f64; 2]>,
+    /// Measured `ⁱT̂ᵢ₊₁`, m.
+    pub source_from_target: Pose,
+    /// Covariance of `log(T̂ T⁻¹)`, left, order ρ then φ, m² and rad², the same axes.
+    pub covariance: Covariance6,
+}
+
+/// Form of the output.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// Relative poses as [`crate::systems::parse_relative_poses`] reads them.
+    Csv,
+    /// JSON lines.
+    Jsonl,
+    /// TUM trajectory with covariances.
+    Tum,
+    /// KITTI trajectory with covariances.
+    Kitti,
+    /// A pose graph for g2o.
+    G2o,
+    /// Factors for GTSAM.
+    Gtsam,
+    /// ROS messages.
+    Ros,
+}
+
+/// The side on which an error stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Perturbation {
+    /// `T̂ = exp(e) T`, axes of the source frame (the paper's, and relcov's own).
+    Left,
+    /// `T̂ = T exp(e)`, axes of the target frame. The same covariance holds for `e` and `−e`.
+    Right,
+}
+
+impl Perturbation {
+    /// Name in options and files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Left => "left",
+            Self::Right => "right",
+        }
+    }
+}
+
+/// Which covariance stands beside the poses of a trajectory.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum TrajectoryCovariance {
+    /// That of the motion from the row before.
+    #[default]
+    Relative,
+    /// That of the pose in the first frame, by all motions since.
+    Accumulated,
+    /// None: the plain format.
+    None,
+}
+
+/// How g2o files state the information of rotations.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum G2oRotation {
+    /// Of the quaternion's vector part, which is half the angle, as g2o itself takes it.
+    #[default]
+    HalfAngle,
+    /// Of the angle, as the g2o readers of GTSAM and factrs take it.
+    Angle,
+}
+
+/// Choices of an export.
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+pub struct ExportOptions {
+    /// Side of the covariance; `None`: that of the format, left where it takes both.
+    pub perturbation: Option<Perturbation>,
+    /// Least variance on the diagonal, m² and rad²; `None`: [`ROS_FLOOR`] for `ros`, nothing for the others.
+    pub floor: Option<[f64; 2]>,
+    /// For `tum` and `kitti`.
+    pub trajectory: TrajectoryCovariance,
+    /// For `g2o`.
+    pub g2o_rotation: G2oRotation,
+}
+
+/// Least variance in ROS messages, whose consumers choke on zeros, m² and rad²: far below what any system attains.
+pub const ROS_FLOOR: [f64; 2] = [1e-9, 1e-9];
+
+impl Format {
+    /// Name in options.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Csv => "csv",
+            Self::Jsonl => "jsonl",
+            Self::Tum => "tum",
+            Self::Kitti => "kitti",
+            Self::G2o => "g2o",
+            Self::Gtsam => "gtsam",
+            Self::Ros => "ros",
+        }
+    }
+
+    /// Whether one file can hold several systems and drives, each line saying which it belongs to.
+    pub fn is_labelled(self) -> bool {
+        self == Self::Jsonl
+    }
+
+    /// That the options mean something to this format.
+    ///
+    /// # Errors
+    /// The format fixes what an option asks for otherwise, or the floor is no variance.
+    pub fn check(self, options: &ExportOptions) -> Result<()> {
+        let name = self.name();
+        let fixed = match self {
+            Self::G2o | Self::Gtsam => Some("the right perturbation"),
+            Self::Ros => Some("errors of position and about fixed axes"),
+            Self::Csv | Self::Jsonl | Self::Tum | Self::Kitti => None,
+        };
+        if let (Some(fixed), Some(asked)) = (fixed, options.perturbation)
+            && !(asked == Perturbation::Right && self != Self::Ros)
+        {
+            return Err(Error::Data(format!(
+                "--perturbation {}: the format {name} is defined with {fixed}; leave the option out, or take csv or jsonl",
+                asked.name()
+            )));
+        }
+        if options.trajectory != TrajectoryCovariance::Relative && !matches!(self, Self::Tum | Self::Kitti) {
+            return Err(Error::Data(format!("--covariance is for tum and kitti; {name} holds relative poses")));
+        }
+        if options.g2o_rotation != G2oRotation::HalfAngle && self != Self::G2o {
+            return Err(Error::Data(format!("--g2o-rotation is for g2o, not {name}")));
+        }
+        let floor = options.floor.unwrap_or_default();
+        if floor.iter().any(|variance| !(0.0..=1e12).contains(variance)) {
+            return Err(Error::Data(format!("--floor {floor:?}: expected variances from 0 to 1e12, m² and rad²")));
+        }
+        Ok(())
+    }
+
+    /// The measurements in this format.
+    ///
+    /// # Errors
+    /// The options do not fit the format ([`Format::check`]); a trajectory is asked for and frames are missing; or a
+    /// covariance has no inverse where the format needs one.
+    pub fn render(self, measured: &MeasuredMotions, options: &ExportOptions) -> Result<String> {
+        self.check(options)?;
+        let floor = options.floor.or((self == Self::Ros).then_some(ROS_FLOOR));
+        match self {
+            Self::Csv => Ok(csv::render(measured, options.perturbation, floor)),
+            Self::Jsonl => Ok(jsonl::render(measured, options.perturbation, floor)),
+            Self::Tum => trajectory::render_tum(measured, options, floor),
+            Self::Kitti => trajectory::render_kitti(measured, options, floor),
+            Self::G2o => g2o::render(measured, options.g2o_rotation, floor),
+            Self::Gtsam => Ok(gtsam::render(measured, floor)),
+            Self::Ros => Ok(ros::render(measured, floor)),
+        }
+    }
+}
+
+impl MeasuredMotion {
+    /// The covariance on the asked side, its diagonal lifted to the floor.
+    fn covariance_on(&self, side: Perturbation, floor: Option<[f64; 2]>) -> Covariance6 {
+        on_side(&self.covariance, &self.source_from_target, side, floor)
+    }
+}
+
+/// The covariance of a pose's left perturbation on the asked side, its diagonal lifted to the floor.
+fn on_side(left: &Covariance6, pose: &Pose, side: Perturbation, floor: Option<[f64; 2]>) -> Covariance6 {
+    let covariance = match side {
+        Perturbation::Left => *left,
+        Perturbation::Right => left.right_of(pose),
+    };
+    floor.map_or(covariance, |floor| covariance.with_floor(floor))
+}
+
+/// Position and quaternion `x y z qx qy qz qw`.
+fn pose_numbers(pose: &Pose) -> [f64; 7] {
+    let quaternion = UnitQuaternion::from_rotation_matrix(&pose.rotation);
+    let (t, q) = (pose.translation, quaternion.coords);
+    // The same rotation either way; readers expect the short one.
+    let sign = if q.w < 0.0 { -1.0 } else { 1.0 };
+    [t.x, t.y, t.z, sign * q.x, sign * q.y, sign * q.z, sign * q.w]
+}
+
+/// Entries of a matrix, row by row.
+fn rows(matrix: &Matrix6<f64>) -> impl Iterator<Item = f64> {
+    let entries: Vec<f64> = matrix.transpose().iter().copied().collect();
+    entries.into_iter()
+}
+
+/// The matrix with φ before ρ.
+fn rotation_first(matrix: &Matrix6<f64>) -> Matrix6<f64> {
+    let order: Vec<usize> = ROTATION.chain(TRANSLATION).collect();
+    Matrix6::from_fn(|row, column| matrix[(order[row], order[column])])
+}
+
+/// Numbers in a line, shortest text that gives the same number back.
+fn join(numbers: impl IntoIterator<Item = f64>, separator: &str) -> String {
+    numbers.into_iter().map(|number| format!("{number:?}")).collect::<Vec<_>>().join(separator)
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::geometry::Tangent;
+
+    /// Two motions with full covariances.
+    pub(crate) fn measured() -> MeasuredMotions {
+        let motion = |source: usize, tangent: Tangent| {
+            let skewed = Pose::exp(&Tangent::new(0.3, -0.2, 0.1, 0.2, 0.1, -0.3));
+            let std_devs = Tangent::new(0.05, 0.02, 0.03, 1e-3, 2e-3, 8e-4);
+            MeasuredMotion {
+                source,
+                target: source + 1,
+                times_s: Some([10.0 + 0.1 * source as f64, 10.1 + 0.1 * source as f64]),
+                source_from_target: Pose::exp(&tangent),
+                covariance: Covariance6::from_std_devs(&std_devs).transported(&skewed),
+            }
+        };
+        let motions = vec![
+            motion(4, Tangent::new(1.1, 0.05, -0.02, 0.01, -0.02, 0.1)),
+            motion(5, Tangent::new(1.0, -0.03, 0.02, -0.01, 0.02, -0.2)),
+        ];
+        MeasuredMotions { system: "vo".to_owned(), drive: "drive".to_owned(), frame: "vehicle".to_owned(), motions }
+    }
+
+    #[test]
+    fn options_that_a_format_cannot_honour_are_refused() {
+        let left = ExportOptions { perturbation: Some(Perturbation::Left), ..ExportOptions::default() };
+        let right = ExportOptions { perturbation: Some(Perturbation::Right), ..ExportOptions::default() };
+        for format in [Format::G2o, Format::Gtsam] {
+            assert!(format.check(&right).is_ok());
+            assert!(format.check(&left).unwrap_err().to_string().contains("right perturbation"));
+        }
+        assert!(Format::Ros.check(&right).unwrap_err().to_string().contains("fixed axes"));
+        let angle = ExportOptions { g2o_rotation: G2oRotation::Angle, ..ExportOptions::default() };
+        assert!(Format::G2o.check(&angle).is_ok() && Format::Csv.check(&angle).is_err());
+        let bad = ExportOptions { floor: Some([f64::NAN, 0.0]), ..ExportOptions::default() };
+        assert!(Format::Ros.check(&bad).is_err());
+    }
+
+    #[test]
+    fn a_floor_lifts_what_lies_below_it_and_nothing_else() {
+        let mut measured = measured();
+        measured.motions[0].covariance = Covariance6::from_variances(&Tangent::new(0.0, 1.0, 1.0, 0.0, 1.0, 1.0));
+        let lifted = measured.motions[0].covariance_on(Perturbation::Left, Some([1e-4, 1e-6])).variance();
+        assert_eq!(lifted, Tangent::new(1e-4, 1.0, 1.0, 1e-6, 1.0, 1.0));
+    }
+}

@@ -1,0 +1,127 @@
+//! Trajectories: the rows of TUM and KITTI, followed by 36 covariance values.
+
+use nalgebra::Matrix4;
+
+use super::{
+    Chain, ExportOptions, MeasuredMotions, Perturbation, TrajectoryCovariance, join, on_side, pose_numbers, rows,
+};
+use crate::error::Result;
+use crate::fusion::FusedTrajectory;
+use crate::geometry::{Covariance6, Pose};
+
+/// `t x y z qx qy qz qw`, t in seconds, or the frame where times are not known.
+pub(super) fn render_tum(
+    measured: &MeasuredMotions,
+    options: &ExportOptions,
+    floor: Option<[f64; 2]>,
+) -> Result<String> {
+    let chain = Chain::of(measured)?;
+    let begin = measured.motions[0].times_s.map(|[source, _]| source);
+    let ends = measured.motions.iter().map(|motion| motion.times_s.map(|[_, target]| target));
+    let times: Option<Vec<f64>> = std::iter::once(begin).chain(ends).collect();
+    let times = times.unwrap_or_else(|| chain.frames.iter().map(|&frame| frame as f64).collect());
+    let side = options.perturbation.unwrap_or(Perturbation::Left);
+    let what = match options.trajectory {
+        TrajectoryCovariance::None => String::new(),
+        TrajectoryCovariance::Relative => format!("; covariance of the motion from the row before, {}", remark(side)),
+        TrajectoryCovariance::Accumulated => format!("; covariance of the pose in the first frame, {}", remark(side)),
+    };
+    let mut text = format!("# t x y z qx qy qz qw; first_from_frame, axes: {}{what}\n", measured.frame);
+    for (row, time) in times.iter().enumerate() {
+        let pose = std::iter::once(*time).chain(pose_numbers(&chain.poses[row]));
+        text += &join(pose.chain(covariance(measured, &chain, row, options, floor)), " ");
+        text.push('\n');
+    }
+    Ok(text)
+}
+
+/// Twelve numbers, the first three rows of `first_from_frame`; no remark, for the format knows none.
+pub(super) fn render_kitti(
+    measured: &MeasuredMotions,
+    options: &ExportOptions,
+    floor: Option<[f64; 2]>,
+) -> Result<String> {
+    let chain = Chain::of(measured)?;
+    let mut text = String::new();
+    for row in 0..chain.poses.len() {
+        let matrix: Matrix4<f64> = chain.poses[row].matrix();
+        let pose = (0..12).map(|entry| matrix[(entry / 4, entry % 4)]);
+        text += &join(pose.chain(covariance(measured, &chain, row, options, floor)), " ");
+        text.push('\n');
+    }
+    Ok(text)
+}
+
+/// A fused trajectory as TUM rows with 36 covariance values; t is the frame.
+pub fn fused_trajectory(fused: &FusedTrajectory) -> String {
+    let mut text =
+        "# frame x y z qx qy qz qw; world_from_body; marginal covariance, order x y z roll pitch yaw, right perturbation, axes of the body\n"
+            .to_owned();
+    for (frame, pose) in &fused.poses {
+        let numbers = pose_numbers(pose).into_iter().chain(rows(fused.covariances[frame].matrix()));
+        text += &format!("{frame} {}\n", join(numbers, " "));
+    }
+    text
+}
+
+fn remark(side: Perturbation) -> String {
+    format!("order x y z roll pitch yaw, {} perturbation", side.name())
+}
+
+fn covariance(
+    measured: &MeasuredMotions,
+    chain: &Chain,
+    row: usize,
+    options: &ExportOptions,
+    floor: Option<[f64; 2]>,
+) -> Vec<f64> {
+    let side = options.perturbation.unwrap_or(Perturbation::Left);
+    let covariance = match (options.trajectory, row) {
+        (TrajectoryCovariance::None, _) => return Vec::new(),
+        (_, 0) => on_side(&Covariance6::zero(), &Pose::identity(), side, floor),
+        (TrajectoryCovariance::Relative, _) => measured.motions[row - 1].covariance_on(side, floor),
+        (TrajectoryCovariance::Accumulated, _) => on_side(&chain.covariances[row], &chain.poses[row], side, floor),
+    };
+    rows(covariance.matrix()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+    use std::path::Path;
+
+    use super::super::Format;
+    use super::super::tests::measured;
+    use super::*;
+    use crate::systems::{parse_kitti_trajectory, parse_tum_trajectory};
+
+    #[test]
+    fn plain_trajectories_are_read_back() {
+        let measured = measured();
+        let plain = ExportOptions { trajectory: TrajectoryCovariance::None, ..ExportOptions::default() };
+        let chain = Chain::of(&measured).unwrap();
+        let kitti = Format::Kitti.render(&measured, &plain).unwrap();
+        let poses = parse_kitti_trajectory(&kitti, Path::new("p"), 4).unwrap();
+        let times = BTreeMap::from([(4, 10.4), (5, 10.5), (6, 10.6)]);
+        let tum = parse_tum_trajectory(&Format::Tum.render(&measured, &plain).unwrap(), Path::new("p"), &times, 1e-3)
+            .unwrap();
+        for (frame, expected) in chain.frames.iter().zip(&chain.poses) {
+            assert!((poses[frame].matrix() - expected.matrix()).norm() < 1e-14);
+            assert!((tum[frame].matrix() - expected.matrix()).norm() < 1e-14);
+        }
+    }
+
+    #[test]
+    fn rows_carry_the_covariance_that_was_asked_for() {
+        let measured = measured();
+        let numbers = |trajectory| {
+            let options = ExportOptions { trajectory, ..ExportOptions::default() };
+            let text = Format::Tum.render(&measured, &options).unwrap();
+            let row = text.lines().nth(3).unwrap();
+            row.split(' ').skip(8).map(|word| word.parse().unwrap()).collect::<Vec<f64>>()
+        };
+        let chain = Chain::of(&measured).unwrap();
+        assert_eq!(numbers(TrajectoryCovariance::Relative)[7], measured.motions[1].covariance.matrix()[(1, 1)]);
+        assert_eq!(numbers(TrajectoryCovariance::Accumulated)[7], chain.covariances[2].matrix()[(1, 1)]);
+    }
+}
