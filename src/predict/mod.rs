@@ -1,17 +1,24 @@
-//! A trained model as a library: one measurement in, its covariance out.
+//! A trained model as a library: one measurement in, its covariance out ([`Model`]); a JSON object in, a JSON object
+//! out ([`Stream`]); all measurements of a data set ([`Model::predict_measurements`]).
+
+mod dataset;
+mod stream;
 
 use std::path::Path;
 use std::sync::Arc;
 
 use burn::tensor::Device;
 
+use crate::config::{Config, DepthConfig};
 use crate::data::{PairBatch, PairSample, RgbImage, RightImages};
-use crate::depth::DepthMap;
+use crate::depth::{DepthMap, LiveDepth};
 use crate::error::{Error, Result};
 use crate::evaluation::{Recalibration, read_values};
 use crate::geometry::{Covariance6, ErrorFrame, Pinhole, Pose, Tangent};
 use crate::model::{Architecture, CovarianceModel, ImagePair};
 use crate::training::RunFolder;
+
+pub use stream::{Stream, StreamSettings};
 
 /// A model ready to predict.
 ///
@@ -40,6 +47,7 @@ pub struct Model {
     error_frame: ErrorFrame,
     network: CovarianceModel,
     recalibration: Option<Recalibration>,
+    depth: DepthConfig,
     device: Device,
 }
 
@@ -86,6 +94,7 @@ impl Model {
             error_frame: manifest.conventions.error_frame,
             network,
             recalibration: run.recalibration()?,
+            depth: Config::load(&run.config_path(), &[])?.depth,
             device: device.clone(),
         })
     }
@@ -122,12 +131,35 @@ impl Model {
         device: &Device,
     ) -> Self {
         let network = architecture.init(log_variance, device);
-        Self { architecture, error_frame, network, recalibration: None, device: device.clone() }
+        let depth = DepthConfig::default();
+        Self { architecture, error_frame, network, recalibration: None, depth, device: device.clone() }
     }
 
     /// Axes in which predicted covariances are expressed.
     pub fn error_frame(&self) -> ErrorFrame {
         self.error_frame
+    }
+
+    /// Shape of the model.
+    pub fn architecture(&self) -> &Architecture {
+        &self.architecture
+    }
+
+    /// Depth for images that come without, from the source the model was trained with: a flat road, or a depth network
+    /// whose scale is known. Other sources have none for a single image, which [`LiveDepth::estimate`] says.
+    ///
+    /// # Errors
+    /// The weights of the depth network cannot be loaded.
+    pub fn live_depth(&self) -> Result<LiveDepth> {
+        self.live_depth_of(&self.depth)
+    }
+
+    /// The same from another source.
+    ///
+    /// # Errors
+    /// As [`Model::live_depth`].
+    pub fn live_depth_of(&self, config: &DepthConfig) -> Result<LiveDepth> {
+        LiveDepth::new(config, [self.architecture.width, self.architecture.height], &self.device)
     }
 
     /// Predicts the covariance of a measurement: of `e = log(T̂ T⁻¹)`, order ρ then φ, m² and rad²,
@@ -137,10 +169,25 @@ impl Model {
     /// Images do not have the camera's size, buffers not the size they state, no depth is known, the pose or intrinsics
     /// are not finite, or the model's output is not.
     pub fn predict(&self, measurement: &Measurement) -> Result<Covariance6> {
-        let sample = self.prepare(measurement)?;
-        let outputs = read_values(self.network.forward(&PairBatch::new(&[sample], &self.device)))?;
-        let covariance = self.network.covariances(&outputs)?.swap_remove(0);
-        Ok(self.recalibration.as_ref().map_or(covariance, |recalibration| recalibration.apply(&covariance)))
+        Ok(self.predict_batch(std::slice::from_ref(measurement))?.swap_remove(0))
+    }
+
+    /// The same for several measurements at once, which is faster; none for none.
+    ///
+    /// # Errors
+    /// As [`Model::predict`], for any of them.
+    pub fn predict_batch(&self, measurements: &[Measurement]) -> Result<Vec<Covariance6>> {
+        let samples = measurements.iter().map(|measurement| self.prepare(measurement)).collect::<Result<Vec<_>>>()?;
+        if samples.is_empty() {
+            return Ok(Vec::new());
+        }
+        let outputs = read_values(self.network.forward(&PairBatch::new(&samples, &self.device)))?;
+        let covariances = self.network.covariances(&outputs)?.into_iter();
+        Ok(covariances.map(|covariance| self.recalibrated(covariance)).collect())
+    }
+
+    fn recalibrated(&self, covariance: Covariance6) -> Covariance6 {
+        self.recalibration.as_ref().map_or(covariance, |recalibration| recalibration.apply(&covariance))
     }
 
     fn prepare(&self, measurement: &Measurement) -> Result<PairSample> {
@@ -185,9 +232,10 @@ impl Model {
         }
         let (width, height) = (self.architecture.width, self.architecture.height);
         let resized = |image: &RgbImage| Arc::new(image.clone().resized(width, height));
+        let (source_image, target_image) = rayon::join(|| resized(source_image), || resized(target_image));
         Ok(PairSample {
-            source_image: resized(source_image),
-            target_image: resized(target_image),
+            source_image,
+            target_image,
             target_depth: Arc::new(target_depth.resized(width, height)),
             camera: camera.resized(width, height),
             source_from_target: *source_from_target,

@@ -1,0 +1,83 @@
+//! Predictions for all measurements of a data set, ready to be exported.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use super::Model;
+use crate::config::{Config, TruthConfig};
+use crate::data::{Dataset, Drive, PairReader, Split};
+use crate::error::{Error, Result};
+use crate::evaluation::{Prediction, predict_split};
+use crate::export::{MeasuredMotion, MeasuredMotions};
+use crate::geometry::{Covariance6, ErrorFrame, Pose, Tangent};
+
+impl Model {
+    /// Predicts every readable measurement of a split, images decoded ahead of the network; one entry for each system
+    /// and drive, in their order, poses and covariances in axes of `output`. `config` is the data set's, with the size of
+    /// this model.
+    ///
+    /// `progress` is told how many are done and may end it by an error.
+    ///
+    /// # Errors
+    /// Too many frames are unreadable, the device failed, or axes of the world are asked for and the vehicle's pose in it
+    /// is not known.
+    pub fn predict_measurements(
+        &self,
+        config: &Config,
+        dataset: &Dataset,
+        split: &Split,
+        output: ErrorFrame,
+        progress: &mut dyn FnMut(usize) -> Result<()>,
+    ) -> Result<Vec<MeasuredMotions>> {
+        let reader = Arc::new(PairReader::new(config, dataset, split.name));
+        let predictions = predict_split(&self.network, &reader, split, &config.training, &self.device, progress)?;
+        let mut groups: BTreeMap<(usize, usize), Vec<MeasuredMotion>> = BTreeMap::new();
+        for Prediction { pair, system, motion, covariance, .. } in &predictions {
+            let drive = &dataset.drives[pair.drive];
+            let world_from_vehicle = drive.oxts_poses.get(&pair.source).filter(|_| config.truth == TruthConfig::Oxts);
+            let axes = |frame| axes_from_vehicle(drive, frame, world_from_vehicle);
+            let (source_from_target, covariance) =
+                in_axes(motion, &self.recalibrated(*covariance), &axes(self.error_frame)?, &axes(output)?);
+            let times = &drive.timestamps_s;
+            let times_s =
+                times.get(&pair.source).zip(times.get(&pair.target)).map(|(&source, &target)| [source, target]);
+            groups.entry((*system, pair.drive)).or_default().push(MeasuredMotion {
+                source: pair.source,
+                target: pair.target,
+                times_s,
+                source_from_target,
+                covariance,
+            });
+        }
+        let named = |((system, drive), motions): ((usize, usize), Vec<MeasuredMotion>)| MeasuredMotions {
+            system: dataset.systems[system].clone(),
+            drive: dataset.drives[drive].name.clone(),
+            frame: output.name().to_owned(),
+            motions,
+        };
+        Ok(groups.into_iter().map(named).collect())
+    }
+}
+
+/// A motion of the vehicle, and the covariance of its error in axes of its own, both in the axes of the output.
+fn in_axes(
+    motion: &Tangent,
+    covariance: &Covariance6,
+    errors_from_vehicle: &Pose,
+    output_from_vehicle: &Pose,
+) -> (Pose, Covariance6) {
+    let covariance = match errors_from_vehicle == output_from_vehicle {
+        true => *covariance,
+        false => covariance.transported(&(*output_from_vehicle * errors_from_vehicle.inverse())),
+    };
+    (Pose::exp(motion).conjugated_by(output_from_vehicle), covariance)
+}
+
+fn axes_from_vehicle(drive: &Drive, frame: ErrorFrame, world_from_vehicle: Option<&Pose>) -> Result<Pose> {
+    drive.calibration.axes_from_vehicle(frame, world_from_vehicle).ok_or_else(|| {
+        Error::Data(format!(
+            "{}: axes of the world need the vehicle's pose in it (the drive's oxts), which these data do not have; take --frame vehicle or camera",
+            drive.name
+        ))
+    })
+}
