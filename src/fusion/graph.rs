@@ -1,0 +1,409 @@
+//! The pose graph: relative poses between frames, fixes of single frames, solved by factrs.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+
+use factrs::core::{
+    BetweenResidual, GaussNewton, GaussianNoise, Graph, LevenMarquardt, PriorResidual, SE3, SO3, Values,
+};
+use factrs::linalg::{Const, DiffResult, ForwardProp, Matrix6 as Matrix6f, Numeric, Vector3 as Vector3f, VectorX};
+use factrs::linear::LinearSolver;
+use factrs::optimizers::{BaseOptParams, LevenParams, OptError};
+use factrs::residuals::Residual1;
+use factrs::traits::Optimizer;
+use factrs::{assign_symbols, containers::ValuesOrder, fac};
+use faer::linalg::solvers::Solve;
+use faer::sparse::SparseColMatRef;
+use faer::sparse::linalg::solvers::{Llt, SymbolicLlt};
+use faer::{Mat, MatRef, Side};
+use nalgebra::{Matrix3, Matrix6, Quaternion, UnitQuaternion, Vector3};
+
+use super::fixes::{Fix, anchor};
+use crate::error::{Error, Result};
+use crate::geometry::{Covariance6, Pose, ROTATION, TRANSLATION};
+
+assign_symbols!(X: SE3);
+
+/// Poses whose marginals are computed at once.
+const MARGINALS_AT_ONCE: usize = 64;
+/// Fixes that place a trajectory in the world when none has an attitude.
+const FEWEST_POSITIONS: usize = 3;
+/// Half the sum of squared whitened residuals below which nothing is left to solve.
+const SOLVED: f64 = 1e-12;
+
+/// One system's relative poses on one drive.
+#[derive(Clone, Debug)]
+pub struct Odometry {
+    /// Its name.
+    pub system: String,
+    /// Its measurements: source and target frame, measured `source_from_target` in axes of the body, and covariance of
+    /// its left perturbation.
+    pub motions: Vec<(usize, usize, Pose, Covariance6)>,
+}
+
+/// The most likely trajectory.
+#[derive(Clone, Debug)]
+pub struct FusedTrajectory {
+    /// `world_from_body` of each frame.
+    pub poses: BTreeMap<usize, Pose>,
+    /// Marginal covariance of each: right perturbation, order ρ then φ, axes of the body, m² and rad².
+    pub covariances: BTreeMap<usize, Covariance6>,
+    /// Whether it was placed by fixes; else its first frame is the world.
+    pub placed: bool,
+}
+
+/// `t − p`: a measured position.
+#[derive(Clone, Debug)]
+struct PositionResidual {
+    position: [f64; 3],
+}
+
+#[factrs::mark]
+impl Residual1 for PositionResidual {
+    type Differ = ForwardProp<Const<6>>;
+    type V1 = SE3;
+    type DimIn = Const<6>;
+    type DimOut = Const<3>;
+
+    fn residual1<T: Numeric>(&self, pose: SE3<T>) -> VectorX<T> {
+        let position = pose.xyz();
+        VectorX::from_fn(3, |axis, _| position[axis] - T::from(self.position[axis]))
+    }
+}
+
+/// Joins odometry and fixes. Without a fix the first frame is the world.
+///
+/// # Errors
+/// There is no motion; a covariance is not positive definite; frames hang together by no motion; the fixes do not place
+/// the trajectory in the world, or one is of a frame that no motion reaches; or the solver does not converge.
+pub fn fuse(odometry: &[Odometry], fixes: &[Fix]) -> Result<FusedTrajectory> {
+    let frames = frames_of(odometry)?;
+    let number: BTreeMap<usize, u32> = frames.iter().enumerate().map(|(index, &frame)| (frame, index as u32)).collect();
+    if let Some(fix) = fixes.iter().find(|fix| !number.contains_key(&fix.frame)) {
+        return Err(Error::Data(format!("a fix of frame {}: no motion reaches that frame", fix.frame)));
+    }
+    let local = chain(odometry, &frames)?;
+    // Far from the origin, metres lose their digits: the graph's world begins at its first fix.
+    let origin = fixes.first().map_or(Vector3::zeros(), |fix| fix.position);
+    let moved: Vec<Fix> = fixes.iter().map(|fix| Fix { position: fix.position - origin, ..fix.clone() }).collect();
+    let anchors = if moved.is_empty() { vec![anchor(frames[0], &Pose::identity())] } else { moved };
+    let world_from_local = place(&local, &anchors)?;
+
+    let mut graph = Graph::new();
+    for Odometry { system, motions } in odometry {
+        for (source, target, pose, covariance) in motions {
+            let information = covariance.right_of(pose).information().ok_or_else(|| {
+                Error::Data(format!(
+                    "{system}, frames {source} and {target}: the covariance is not positive definite; every direction needs a variance"
+                ))
+            })?;
+            let noise = gaussian(&information);
+            graph.add_factor(fac![
+                BetweenResidual::new(to_factrs(pose)),
+                (X(number[source]), X(number[target])),
+                noise
+            ]);
+        }
+    }
+    for fix in &anchors {
+        let key = X(number[&fix.frame]);
+        match &fix.attitude {
+            None => {
+                let deviations = fix.position_std_m;
+                let noise = GaussianNoise::<3>::from_diag_sigmas(deviations.x, deviations.y, deviations.z);
+                graph.add_factor(fac![PositionResidual { position: fix.position.into() }, key, noise]);
+            }
+            Some((rotation, deviations)) => {
+                // In axes of the body, as a right perturbation has it.
+                let position = rotation.inverse() * Matrix3::from_diagonal(&fix.position_std_m.map(|std| std.powi(-2)));
+                let mut information = Matrix6::zeros();
+                information.fixed_view_mut::<3, 3>(0, 0).copy_from(&(position * rotation.matrix()));
+                let about = Matrix3::from_diagonal(&deviations.map(|std| std.powi(-2)));
+                information.fixed_view_mut::<3, 3>(3, 3).copy_from(&about);
+                let prior = PriorResidual::new(to_factrs(&Pose::new(*rotation, fix.position)));
+                let noise = gaussian(&(0.5 * (information + information.transpose())));
+                graph.add_factor(fac![prior, key, noise]);
+            }
+        }
+    }
+    let mut values = Values::new();
+    for (&frame, &index) in &number {
+        values.insert(X(index), to_factrs(&(world_from_local * local[&frame])));
+    }
+    let values = solve(&graph, values)?;
+    let covariances = marginals(&graph, &values, &number)?;
+    let poses = number.iter().map(|(&frame, &index)| {
+        let pose = from_factrs(values.get(X(index)).expect("every frame has a pose"));
+        (frame, Pose::new(pose.rotation, pose.translation + origin))
+    });
+    Ok(FusedTrajectory { poses: poses.collect(), covariances, placed: !fixes.is_empty() })
+}
+
+/// The most likely poses: by Levenberg and Marquardt's method, and where it finds no step, because the poses are as good as
+/// numbers allow, by that of Gauss and Newton.
+fn solve(graph: &Graph, begin: Values) -> Result<Values> {
+    let base = BaseOptParams { error_tol: SOLVED, ..BaseOptParams::default() };
+    let mut damped = LevenMarquardt::new(LevenParams { base: base.clone(), ..LevenParams::default() }, graph.clone());
+    damped.set_solver(Cholesky::default());
+    let mut undamped = GaussNewton::new(base, graph.clone());
+    undamped.set_solver(Cholesky::default());
+    let solved = match damped.optimize(begin.clone()) {
+        Err(OptError::InvalidSystem | OptError::FailedToStep) => undamped.optimize(begin),
+        solved => solved,
+    };
+    let values = match solved {
+        Ok(values) => values,
+        Err(OptError::MaxIterations(values)) => {
+            tracing::warn!("the pose graph still moved after the last iteration");
+            values
+        }
+        Err(OptError::InvalidSystem | OptError::FailedToStep) => return Err(unsolved()),
+    };
+    if graph.error(&values).is_finite() { Ok(values) } else { Err(unsolved()) }
+}
+
+fn unsolved() -> Error {
+    Error::Data(
+        "the pose graph has no solution: its fixes and motions leave poses undetermined, or its covariances differ too much in size"
+            .to_owned(),
+    )
+}
+
+/// factrs' own Cholesky solver, but for one thing: what cannot be solved has NaN for a solution and does not end the
+/// program.
+#[derive(Default)]
+struct Cholesky {
+    pattern: Option<SymbolicLlt<usize>>,
+}
+
+impl LinearSolver for Cholesky {
+    fn solve_symmetric(&mut self, a: SparseColMatRef<usize, f64>, b: MatRef<f64>) -> Mat<f64> {
+        let nothing = || Mat::full(b.nrows(), b.ncols(), f64::NAN);
+        if self.pattern.is_none() {
+            self.pattern = SymbolicLlt::try_new(a.symbolic(), Side::Lower).ok();
+        }
+        let Some(pattern) = self.pattern.clone() else { return nothing() };
+        Llt::try_new_with_symbolic(pattern, a, Side::Lower).map_or_else(|_| nothing(), |factor| factor.solve(&b))
+    }
+
+    fn solve_lst_sq(&mut self, a: SparseColMatRef<usize, f64>, b: MatRef<f64>) -> Mat<f64> {
+        let Ok(transposed) = a.transpose().to_col_major() else { return Mat::full(a.ncols(), b.ncols(), f64::NAN) };
+        self.solve_symmetric((&transposed * a).as_ref(), (a.transpose() * b).as_ref())
+    }
+}
+
+/// All frames that some motion reaches.
+fn frames_of(odometry: &[Odometry]) -> Result<Vec<usize>> {
+    let ends = odometry.iter().flat_map(|system| &system.motions).flat_map(|&(source, target, ..)| [source, target]);
+    let frames: BTreeSet<usize> = ends.collect();
+    match frames.is_empty() {
+        true => Err(Error::Data("no system has a motion: there is nothing to fuse".to_owned())),
+        false => Ok(frames.into_iter().collect()),
+    }
+}
+
+/// Poses of all frames in the first, along the motions of the systems named first.
+fn chain(odometry: &[Odometry], frames: &[usize]) -> Result<BTreeMap<usize, Pose>> {
+    let mut neighbours: BTreeMap<usize, Vec<(usize, Pose)>> = BTreeMap::new();
+    for &(source, target, pose, _) in odometry.iter().flat_map(|system| &system.motions) {
+        neighbours.entry(source).or_default().push((target, pose));
+        neighbours.entry(target).or_default().push((source, pose.inverse()));
+    }
+    let mut poses = BTreeMap::from([(frames[0], Pose::identity())]);
+    let mut reached = VecDeque::from([frames[0]]);
+    while let Some(frame) = reached.pop_front() {
+        let here = poses[&frame];
+        for (next, motion) in &neighbours[&frame] {
+            if !poses.contains_key(next) {
+                poses.insert(*next, here * *motion);
+                reached.push_back(*next);
+            }
+        }
+    }
+    match frames.iter().find(|frame| !poses.contains_key(frame)) {
+        None => Ok(poses),
+        Some(frame) => Err(Error::Data(format!(
+            "frames {} and {frame} hang together by no motion; fuse the parts one by one, or add a system that bridges the gap",
+            frames[0]
+        ))),
+    }
+}
+
+/// Where the chained trajectory begins in the world: by the first attitude, else by fitting positions to positions.
+fn place(local: &BTreeMap<usize, Pose>, fixes: &[Fix]) -> Result<Pose> {
+    if let Some((fix, rotation)) = fixes.iter().find_map(|fix| Some((fix, fix.attitude.as_ref()?.0))) {
+        return Ok(Pose::new(rotation, fix.position) * local[&fix.frame].inverse());
+    }
+    let unplaced = || {
+        Error::Data(format!(
+            "{} positions without an attitude do not place a trajectory; give at least {FEWEST_POSITIONS} that do not lie on a line, or a fix with an attitude",
+            fixes.len()
+        ))
+    };
+    let chained: Vec<Vector3<f64>> = fixes.iter().map(|fix| local[&fix.frame].translation).collect();
+    let fixed: Vec<Vector3<f64>> = fixes.iter().map(|fix| fix.position).collect();
+    let mean = |points: &[Vector3<f64>]| points.iter().sum::<Vector3<f64>>() / points.len() as f64;
+    let (from, to) = (mean(&chained), mean(&fixed));
+    // Kabsch: the rotation that maximises Σ (to)ᵀ R (from).
+    let scatter: Matrix3<f64> = chained.iter().zip(&fixed).map(|(a, b)| (b - to) * (a - from).transpose()).sum();
+    let spread = scatter.svd(true, true);
+    let (Some(u), Some(v_t)) = (spread.u, spread.v_t) else { return Err(unplaced()) };
+    if fixes.len() < FEWEST_POSITIONS || spread.singular_values[1] < 1e-9 * spread.singular_values[0].max(1e-300) {
+        return Err(unplaced());
+    }
+    let handed = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * v_t).determinant().signum()));
+    let rotation = nalgebra::Rotation3::from_matrix_unchecked(u * handed * v_t);
+    Ok(Pose::new(rotation, to - rotation * from))
+}
+
+/// The diagonal blocks of `(JᵀJ)⁻¹` at the solution.
+fn marginals(graph: &Graph, values: &Values, number: &BTreeMap<usize, u32>) -> Result<BTreeMap<usize, Covariance6>> {
+    let unusable =
+        || Error::Data("the pose graph does not fix every pose: its information matrix is singular".to_owned());
+    let order = graph.sparsity_pattern(ValuesOrder::from_values(values));
+    let DiffResult { diff: jacobian, .. } = graph.linearize(values).residual_jacobian(&order);
+    let transposed = jacobian.transpose().to_col_major().map_err(|_| unusable())?;
+    let information = &transposed * &jacobian;
+    let symbolic = SymbolicLlt::try_new(information.symbolic(), Side::Lower).map_err(|_| unusable())?;
+    let factor = Llt::try_new_with_symbolic(symbolic, information.as_ref(), Side::Lower).map_err(|_| unusable())?;
+    let columns = information.ncols();
+    let places: Vec<(usize, usize)> = number
+        .iter()
+        .map(|(&frame, &index)| (frame, order.order.get(X(index)).expect("every frame has a place").idx))
+        .collect();
+    let mut covariances = BTreeMap::new();
+    for places in places.chunks(MARGINALS_AT_ONCE) {
+        let mut unit = Mat::<f64>::zeros(columns, 6 * places.len());
+        for (block, (_, place)) in places.iter().enumerate() {
+            (0..6).for_each(|axis| unit[(place + axis, 6 * block + axis)] = 1.0);
+        }
+        let solved = factor.solve(&unit);
+        for (block, (frame, place)) in places.iter().enumerate() {
+            // factrs has φ before ρ.
+            let order: Vec<usize> = (3..6).chain(0..3).collect();
+            let entry = |row: usize, column: usize| solved[(place + order[row], 6 * block + order[column])];
+            let matrix = Matrix6::from_fn(|row, column| 0.5 * (entry(row, column) + entry(column, row)));
+            covariances.insert(*frame, Covariance6::from_matrix(matrix).map_err(|_| unusable())?);
+        }
+    }
+    Ok(covariances)
+}
+
+/// Noise of an information matrix, ρ then φ here and φ then ρ there.
+fn gaussian(information: &Matrix6<f64>) -> GaussianNoise<6> {
+    let order: Vec<usize> = ROTATION.chain(TRANSLATION).collect();
+    let theirs = Matrix6f::from_fn(|row, column| information[(order[row], order[column])]);
+    GaussianNoise::from_matrix_inf(theirs.as_view()).expect("the inverse of a positive definite matrix")
+}
+
+fn to_factrs(pose: &Pose) -> SE3 {
+    let q = UnitQuaternion::from_rotation_matrix(&pose.rotation);
+    let t = &pose.translation;
+    SE3::from_rot_trans(SO3::from_xyzw(q.i, q.j, q.k, q.w), Vector3f::new(t.x, t.y, t.z))
+}
+
+fn from_factrs(pose: &SE3) -> Pose {
+    let (rotation, t) = (pose.rot(), pose.xyz());
+    let quaternion = Quaternion::new(rotation.w(), rotation.x(), rotation.y(), rotation.z());
+    let rotation = UnitQuaternion::from_quaternion(quaternion).to_rotation_matrix();
+    Pose::new(rotation, Vector3::new(t[0], t[1], t[2]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Tangent;
+
+    const STEP: [f64; 6] = [1.0, 0.05, -0.02, 0.01, -0.005, 0.1];
+
+    fn truth(frames: usize) -> BTreeMap<usize, Pose> {
+        let step = Pose::exp(&Tangent::from(STEP));
+        let mut pose = Pose::exp(&Tangent::new(4e5, 5e6, 100.0, 0.1, 0.2, 1.0));
+        let next = |frame| {
+            let here = pose;
+            pose = pose * step;
+            (frame, here)
+        };
+        (0..frames).map(next).collect()
+    }
+
+    fn odometry(system: &str, truth: &BTreeMap<usize, Pose>, std: f64, errors: &[Tangent]) -> Odometry {
+        let covariance = Covariance6::from_std_devs(&Tangent::repeat(std));
+        let motion = |source: usize| {
+            let exact = truth[&source].inverse() * truth[&(source + 1)];
+            let error = errors.get(source).copied().unwrap_or_else(Tangent::zeros);
+            (source, source + 1, Pose::exp(&error) * exact, covariance)
+        };
+        Odometry { system: system.to_owned(), motions: (0..truth.len() - 1).map(motion).collect() }
+    }
+
+    fn position(frame: usize, pose: &Pose, std: f64) -> Fix {
+        Fix { frame, position: pose.translation, position_std_m: Vector3::repeat(std), attitude: None }
+    }
+
+    #[test]
+    fn exact_measurements_give_the_truth_in_a_world_far_away() {
+        let truth = truth(12);
+        let fixes: Vec<Fix> = [0, 5, 11].map(|frame| position(frame, &truth[&frame], 0.1)).into();
+        let fused = fuse(&[odometry("vo", &truth, 0.01, &[])], &fixes).unwrap();
+        for (frame, pose) in &truth {
+            assert!(
+                Pose::error(&fused.poses[frame].conjugated_by(&Pose::identity()), pose).fixed_rows::<3>(3).norm()
+                    < 1e-6
+            );
+            assert!((fused.poses[frame].translation - pose.translation).norm() < 1e-5);
+        }
+    }
+
+    #[test]
+    fn marginals_are_those_of_chained_covariances() {
+        // From an anchor at the first frame: what `export::Chain` adds up, on the other side.
+        let truth = truth(4);
+        let odometry = odometry("vo", &truth, 0.01, &[]);
+        let fused = fuse(std::slice::from_ref(&odometry), &[]).unwrap();
+        assert!(!fused.placed);
+        let (mut sum, mut pose) = (Covariance6::zero(), Pose::identity());
+        for (_, target, motion, covariance) in &odometry.motions {
+            sum = sum.plus(&covariance.transported(&pose));
+            pose = pose * *motion;
+            let expected = sum.right_of(&pose);
+            let difference = fused.covariances[target].matrix() - expected.matrix();
+            assert!(difference.norm() < 1e-6 * expected.matrix().norm(), "{difference}");
+        }
+    }
+
+    #[test]
+    fn two_systems_are_weighted_by_their_information() {
+        let truth = truth(2);
+        let error = Tangent::new(0.03, 0.0, 0.0, 0.0, 0.0, 0.0);
+        let (good, bad) = (odometry("wheel", &truth, 0.01, &[]), odometry("vo", &truth, 0.02, &[error]));
+        let fused = fuse(&[bad, good], &[]).unwrap();
+        // Weights 1/4 and 1: a fifth of the error is left.
+        let left = Pose::error(&fused.poses[&1], &(truth[&0].inverse() * truth[&1]));
+        assert!((left - 0.2 * error).norm() < 1e-6, "{left}");
+        let expected = 1.0 / (1.0 / 0.01_f64.powi(2) + 1.0 / 0.02_f64.powi(2));
+        let forward = fused.covariances[&1].left_of(&fused.poses[&1]).variance()[0];
+        assert!((forward / expected - 1.0).abs() < 1e-4, "{forward} against {expected}");
+    }
+
+    #[test]
+    fn what_cannot_be_fused_is_said() {
+        let truth = truth(6);
+        let whole = odometry("vo", &truth, 0.01, &[]);
+        let mut broken = whole.clone();
+        broken.motions.remove(2);
+        let mut flat = whole.clone();
+        flat.motions[1].3 = Covariance6::zero();
+        let outside = Fix { frame: 99, ..position(0, &truth[&0], 0.1) };
+        let two: Vec<Fix> = [0, 5].map(|frame| position(frame, &truth[&frame], 0.1)).into();
+        for (odometry, fixes, word) in [
+            (vec![], vec![], "nothing to fuse"),
+            (vec![broken], vec![], "frames 0 and 3"),
+            (vec![flat], vec![], "not positive definite"),
+            (vec![whole.clone()], vec![outside], "frame 99"),
+            (vec![whole], two, "2 positions"),
+        ] {
+            let message = fuse(&odometry, &fixes).unwrap_err().to_string();
+            assert!(message.contains(word), "{message}");
+        }
+    }
+}
