@@ -3,12 +3,13 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use clap::{ArgGroup, Args, ValueEnum};
+use burn::tensor::Device;
+use clap::{ArgGroup, Args};
 
 use super::output::OutputArguments;
 use super::progress::{Progress, note};
-use super::{Overrides, Terminal, synth};
-use crate::config::{Config, MinLogVariance, ModelConfig};
+use super::{FrameArgument, Overrides, SplitArgument, Terminal, synth};
+use crate::config::Config;
 use crate::data::{BadFrame, Dataset, PairReader, PairScope, SplitName};
 use crate::device::{device_name, open_device};
 use crate::error::{Error, Place};
@@ -17,6 +18,7 @@ use crate::evaluation::{
     predict_split, read_pairs, write_pairs,
 };
 use crate::geometry::{Conventions, ErrorFrame};
+use crate::model::CovarianceModel;
 use crate::report::figures::write_figures;
 use crate::report::{Comparison, Entry};
 use crate::training::{EVALUATION, FIGURES, Manifest, PAIRS, RunFolder};
@@ -69,20 +71,6 @@ pub struct EvalArguments {
     overrides: Overrides,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-enum SplitArgument {
-    Train,
-    Validation,
-    Test,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum FrameArgument {
-    Vehicle,
-    Camera,
-    World,
-}
-
 pub fn run(arguments: EvalArguments, terminal: &Terminal) -> anyhow::Result<()> {
     arguments.output.check(1)?;
     let Overrides { set, device } = &arguments.overrides;
@@ -92,22 +80,14 @@ pub fn run(arguments: EvalArguments, terminal: &Terminal) -> anyhow::Result<()> 
     if let Some(key) = set.iter().find(|key| arguments.run.is_some() && key.trim_start().starts_with("model.")) {
         return Err(Error::config(key, "a trained model keeps its shape; train another run for another one").into());
     }
-    let split = match arguments.split {
-        SplitArgument::Train => SplitName::Train,
-        SplitArgument::Validation => SplitName::Validation,
-        SplitArgument::Test => SplitName::Test,
-    };
+    let split = arguments.split.name();
     let entry = match (&arguments.run, &arguments.pairs, &arguments.config) {
         (Some(run), _, config) => {
             let recalibrate = if arguments.recalibrate { Recalibrate::Anew } else { Recalibrate::AsStored };
             evaluate_run(run, config.as_deref(), split, recalibrate, &arguments.overrides, terminal)?
         }
         (_, Some(pairs), _) => {
-            let frame = match arguments.error_frame {
-                Some(FrameArgument::Camera) => ErrorFrame::Camera,
-                Some(FrameArgument::World) => ErrorFrame::World,
-                Some(FrameArgument::Vehicle) | None => ErrorFrame::Vehicle,
-            };
+            let frame = arguments.error_frame.map_or(ErrorFrame::Vehicle, FrameArgument::frame);
             evaluate_file(pairs, arguments.fit.as_deref(), frame)?
         }
         (_, _, Some(config)) => evaluate_baselines(arguments.overrides.load(config)?, config, split)?,
@@ -154,66 +134,9 @@ pub fn evaluate_run(
 ) -> anyhow::Result<Entry> {
     let run = RunFolder::open(run_path)?;
     let manifest = run.manifest()?;
-    let mut config = overrides.load(config.unwrap_or(&run.config_path()))?;
-    // The data may be another configuration's; the model is the run's.
-    let architecture = &manifest.architecture;
-    config.model = ModelConfig {
-        width: architecture.width,
-        height: architecture.height,
-        pair: architecture.pair,
-        input: architecture.input,
-        validity_mask: architecture.validity_mask,
-        stereo: architecture.stereo,
-        pose: architecture.pose,
-        head: architecture.head,
-        dropout: architecture.dropout,
-        min_log_variance: architecture.log_variance_floor.map_or(MinLogVariance::Off, MinLogVariance::Absolute),
-    };
-    if config.data.error_frame != manifest.conventions.error_frame {
-        return Err(Error::config(
-            "data.error_frame",
-            format!(
-                "`{}` is not the `{}` this model was trained for; covariances of a diagonal model cannot be compared across frames",
-                config.data.error_frame.name(),
-                manifest.conventions.error_frame.name()
-            ),
-        )
-        .into());
-    }
-    let device = open_device(&config.device)?;
-    let model = run.load_model(&manifest, &device)?;
-    synth::make_if_asked(&config, terminal)?;
-    let dataset = Dataset::load(&config, PairScope::Images)?;
-    let predict = |split: SplitName, reader: &Arc<PairReader>| -> Result<Vec<Prediction>, Error> {
-        let pairs = dataset.require(split)?;
-        let mut progress = Progress::new(terminal.quiet, "evaluating", 0, pairs.pairs.len());
-        predict_split(&model, reader, pairs, &config.training, &device, &mut |done| {
-            progress.set(done, "pairs");
-            Ok(())
-        })
-    };
-    dataset.require(split)?;
-    let recalibration = match recalibrate {
-        Recalibrate::AsStored => run.recalibration()?,
-        Recalibrate::Anew => {
-            let reader = Arc::new(PairReader::new(&config, &dataset, SplitName::Validation));
-            let predictions = predict(SplitName::Validation, &reader)?;
-            let learned = manifest.systems.iter().filter(|system| system.share > 0.0);
-            let learned: Vec<&str> = learned.map(|system| system.name.as_str()).collect();
-            let fitted = Recalibration::fit(&predictions, &dataset.systems, &learned, SplitName::Validation.name());
-            let fitted =
-                fitted.ok_or_else(|| Error::Data("no factors can be fitted: every component of the learned systems needs errors on the validation pairs".to_owned()))?;
-            run.write_recalibration(&fitted)?;
-            Some(fitted)
-        }
-    };
-    let reader = Arc::new(PairReader::new(&config, &dataset, split));
-    let mut predictions = predict(split, &reader)?;
-    if let Some(recalibration) = &recalibration {
-        predictions.iter_mut().for_each(|row| row.covariance = recalibration.apply(&row.covariance));
-    }
-    let table = PairTable::from_predictions(&predictions, &dataset, manifest.conventions.error_frame);
-    drop(predictions);
+    let config = overrides.load_for_run(config, &run, &manifest)?;
+    let PredictedTable { dataset, table, recalibration, reader, model, device } =
+        predict_table(&run, &manifest, &config, split, recalibrate, terminal)?;
     let bad_frames = reader.bad_frames();
     let origin = Origin {
         run: run_path.display().to_string(),
@@ -222,7 +145,7 @@ pub fn evaluate_run(
         device: device_name(&device),
         unreadable_frames: bad_frames.iter().map(describe).collect(),
         recalibration,
-        log_variance_floor: architecture.log_variance_floor,
+        log_variance_floor: manifest.architecture.log_variance_floor,
         configuration: Some(config.to_toml()),
     };
     let mut evaluation = evaluate_table(&table, &baselines(&manifest), origin)?;
@@ -236,6 +159,65 @@ pub fn evaluate_run(
     Ok(Entry { name, evaluation, table, folder: Some(run.path().to_owned()) })
 }
 
+/// A split's measurements with a model's predictions, and what they were made with.
+pub struct PredictedTable {
+    /// The data.
+    pub dataset: Dataset,
+    /// Measurements and recalibrated predictions.
+    pub table: PairTable,
+    /// The recalibration that was applied.
+    pub recalibration: Option<Recalibration>,
+    reader: Arc<PairReader>,
+    model: CovarianceModel,
+    device: Device,
+}
+
+/// Predicts a split.
+pub fn predict_table(
+    run: &RunFolder,
+    manifest: &Manifest,
+    config: &Config,
+    split: SplitName,
+    recalibrate: Recalibrate,
+    terminal: &Terminal,
+) -> anyhow::Result<PredictedTable> {
+    let device = open_device(&config.device)?;
+    let model = run.load_model(manifest, &device)?;
+    synth::make_if_asked(config, terminal)?;
+    let dataset = Dataset::load(config, PairScope::Images)?;
+    let predict = |split: SplitName, reader: &Arc<PairReader>| -> Result<Vec<Prediction>, Error> {
+        let pairs = dataset.require(split)?;
+        let mut progress = Progress::new(terminal.quiet, "evaluating", 0, pairs.pairs.len());
+        predict_split(&model, reader, pairs, &config.training, &device, &mut |done| {
+            progress.set(done, "pairs");
+            Ok(())
+        })
+    };
+    dataset.require(split)?;
+    let recalibration = match recalibrate {
+        Recalibrate::AsStored => run.recalibration()?,
+        Recalibrate::Anew => {
+            let reader = Arc::new(PairReader::new(config, &dataset, SplitName::Validation));
+            let predictions = predict(SplitName::Validation, &reader)?;
+            let learned = manifest.systems.iter().filter(|system| system.share > 0.0);
+            let learned: Vec<&str> = learned.map(|system| system.name.as_str()).collect();
+            let fitted = Recalibration::fit(&predictions, &dataset.systems, &learned, SplitName::Validation.name());
+            let fitted =
+                fitted.ok_or_else(|| Error::Data("no factors can be fitted: every component of the learned systems needs errors on the validation pairs".to_owned()))?;
+            run.write_recalibration(&fitted)?;
+            Some(fitted)
+        }
+    };
+    let reader = Arc::new(PairReader::new(config, &dataset, split));
+    let mut predictions = predict(split, &reader)?;
+    if let Some(recalibration) = &recalibration {
+        predictions.iter_mut().for_each(|row| row.covariance = recalibration.apply(&row.covariance));
+    }
+    let table = PairTable::from_predictions(&predictions, &dataset, manifest.conventions.error_frame);
+    Ok(PredictedTable { dataset, table, recalibration, reader, model, device })
+}
+
+/// The baselines that a run keeps of its systems.
 fn baselines(manifest: &Manifest) -> Vec<(String, Baselines)> {
     manifest.systems.iter().map(|summary| (summary.name.clone(), summary.baselines)).collect()
 }
@@ -272,23 +254,34 @@ pub fn report_gaps(entry: &Entry, terminal: &Terminal) {
 }
 
 /// The baselines, fitted to the training split, on another one; poses alone.
-fn evaluate_baselines(mut config: Config, path: &Path, split: SplitName) -> anyhow::Result<Entry> {
+fn evaluate_baselines(config: Config, path: &Path, split: SplitName) -> anyhow::Result<Entry> {
+    let (dataset, fitted) = fit_baselines(&config, split)?;
+    let table = PairTable::from_split(dataset.require(split)?, &dataset, config.data.error_frame);
+    let origin = Origin::new(path.display().to_string(), None, split.name());
+    let evaluation = evaluate_table(&table, &fitted, origin)?;
+    Ok(Entry { name: config.name, evaluation, table, folder: None })
+}
+
+/// The data of a configuration, poses alone, and the baselines fitted to its training split.
+pub fn fit_baselines(config: &Config, split: SplitName) -> Result<(Dataset, Vec<(String, Baselines)>), Error> {
+    let mut config = config.clone();
     if split != SplitName::Validation {
         // A baseline has no epochs to choose from: it learns from what a training would hold out.
         config.data.validation_fraction = 0.0;
     }
     let dataset = Dataset::load(&config, PairScope::Poses)?;
-    let fitted: Vec<(String, Baselines)> = dataset
-        .systems
-        .iter()
-        .enumerate()
-        .map(|(index, name)| (name.clone(), Baselines::of_pairs(dataset.train.pairs_of(index))))
-        .collect();
     dataset.require(SplitName::Train)?;
-    let table = PairTable::from_split(dataset.require(split)?, &dataset, config.data.error_frame);
-    let origin = Origin::new(path.display().to_string(), None, split.name());
-    let evaluation = evaluate_table(&table, &fitted, origin)?;
-    Ok(Entry { name: config.name, evaluation, table, folder: None })
+    let fitted = baselines_of(&dataset);
+    Ok((dataset, fitted))
+}
+
+/// The baselines of each system that has training pairs.
+pub fn baselines_of(dataset: &Dataset) -> Vec<(String, Baselines)> {
+    let systems = dataset.systems.iter().enumerate().map(|(index, name)| (name, dataset.train.pairs_of(index)));
+    systems
+        .filter(|(_, pairs)| !pairs.is_empty())
+        .map(|(name, pairs)| (name.clone(), Baselines::of_pairs(pairs)))
+        .collect()
 }
 
 /// Predictions that another program made.

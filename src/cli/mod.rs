@@ -4,8 +4,10 @@
 
 mod depth;
 mod eval;
+mod fuse;
 mod inspect;
 mod output;
+mod predict;
 mod progress;
 mod report;
 mod synth;
@@ -13,13 +15,17 @@ mod train;
 mod train_depth;
 
 use std::io::IsTerminal;
+use std::path::Path;
 use std::process::ExitCode;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, Parser, Subcommand, ValueEnum};
 
-use crate::config::Config;
+use crate::config::{Config, MinLogVariance, ModelConfig};
+use crate::data::SplitName;
 use crate::device::DEVICE_NAMES;
 use crate::error::Error;
+use crate::geometry::ErrorFrame;
+use crate::training::{Manifest, RunFolder};
 
 /// Exit code after Ctrl-C, as shells expect it.
 const INTERRUPTED: u8 = 130;
@@ -31,7 +37,9 @@ const INTERRUPTED: u8 = 130;
   relcov inspect --config configs/kitti_sample.toml
   relcov train --config configs/kitti_sample.toml
   relcov eval --run checkpoints/kitti_sample
-  relcov report checkpoints/kitti_sample --html report.html")]
+  relcov report checkpoints/kitti_sample --html report.html
+  relcov predict --run checkpoints/synthetic --manifest pairs.csv --format ros --out predictions.jsonl
+  relcov fuse --odometry vo=vo.csv --odometry wheel=wheel.csv --fixes gnss.csv --out fused.tum")]
 struct Arguments {
     #[command(subcommand)]
     command: Command,
@@ -49,6 +57,10 @@ enum Command {
     Train(train::TrainArguments),
     /// Judge predicted covariances: MDE table, proper scores, calibration, figures
     Eval(eval::EvalArguments),
+    /// Covariances of new measurements, in the form that the next program reads
+    Predict(predict::PredictArguments),
+    /// Fuse several systems and absolute fixes to one trajectory, weighted by their covariances
+    Fuse(fuse::FuseArguments),
     /// Show what a configuration finds: drives, frames, pairs, systems, depth, problems
     Inspect(inspect::InspectArguments),
     /// Make the depth maps of an experiment by a network, or judge any depth against LiDAR
@@ -72,12 +84,81 @@ struct Overrides {
 }
 
 impl Overrides {
-    fn load(&self, path: &std::path::Path) -> Result<Config, Error> {
+    fn load(&self, path: &Path) -> Result<Config, Error> {
         let mut config = Config::load(path, &self.set)?;
         if let Some(device) = &self.device {
             config.device.clone_from(device);
         }
         Ok(config)
+    }
+
+    /// The configuration of data for a trained model: another one's, or that of its run. The data may be another
+    /// configuration's; the model is the run's.
+    ///
+    /// # Errors
+    /// As [`Config::load`], or errors are in other axes than the model's covariances.
+    fn load_for_run(&self, config: Option<&Path>, run: &RunFolder, manifest: &Manifest) -> Result<Config, Error> {
+        let mut config = self.load(config.unwrap_or(&run.config_path()))?;
+        let architecture = &manifest.architecture;
+        config.model = ModelConfig {
+            width: architecture.width,
+            height: architecture.height,
+            pair: architecture.pair,
+            input: architecture.input,
+            validity_mask: architecture.validity_mask,
+            stereo: architecture.stereo,
+            pose: architecture.pose,
+            head: architecture.head,
+            dropout: architecture.dropout,
+            min_log_variance: architecture.log_variance_floor.map_or(MinLogVariance::Off, MinLogVariance::Absolute),
+        };
+        let (found, trained) = (config.data.error_frame, manifest.conventions.error_frame);
+        if found == trained {
+            return Ok(config);
+        }
+        let (found, trained) = (found.name(), trained.name());
+        Err(Error::config(
+            "data.error_frame",
+            format!(
+                "`{found}` is not the `{trained}` this model was trained for; covariances of a diagonal model cannot be compared across frames"
+            ),
+        ))
+    }
+}
+
+/// A role of pairs.
+#[derive(Clone, Copy, ValueEnum)]
+enum SplitArgument {
+    Train,
+    Validation,
+    Test,
+}
+
+impl SplitArgument {
+    fn name(self) -> SplitName {
+        match self {
+            Self::Train => SplitName::Train,
+            Self::Validation => SplitName::Validation,
+            Self::Test => SplitName::Test,
+        }
+    }
+}
+
+/// Axes of errors and covariances.
+#[derive(Clone, Copy, ValueEnum)]
+enum FrameArgument {
+    Vehicle,
+    Camera,
+    World,
+}
+
+impl FrameArgument {
+    fn frame(self) -> ErrorFrame {
+        match self {
+            Self::Vehicle => ErrorFrame::Vehicle,
+            Self::Camera => ErrorFrame::Camera,
+            Self::World => ErrorFrame::World,
+        }
     }
 }
 
@@ -94,6 +175,8 @@ pub fn run() -> ExitCode {
     let outcome = match arguments.command {
         Command::Train(arguments) => train::run(arguments, &terminal),
         Command::Eval(arguments) => eval::run(arguments, &terminal),
+        Command::Predict(arguments) => predict::run(&arguments, &terminal),
+        Command::Fuse(arguments) => fuse::run(&arguments, &terminal),
         Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Depth(arguments) => depth::run(&arguments, &terminal),
         Command::TrainDepth(arguments) => train_depth::run(&arguments, &terminal),

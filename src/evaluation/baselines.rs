@@ -1,13 +1,13 @@
 //! What a system's training errors alone say: the baselines that a model must beat.
 
-use nalgebra::Vector6;
+use nalgebra::{Matrix6, Vector6};
 use serde::{Deserialize, Serialize};
 
 use super::log_linear::LogLinear;
 use super::pair_table::SystemPairs;
 use super::ranks::median;
 use crate::data::Pair;
-use crate::geometry::Tangent;
+use crate::geometry::{Covariance6, Tangent};
 
 /// Standard deviation of a Gaussian over the median of its absolute values.
 const SIGMA_PER_MEDIAN: f64 = 1.482_602_218_505_602;
@@ -21,6 +21,9 @@ pub struct Baselines {
     /// half of a component's errors are zero.
     #[serde(default)]
     pub median_variance: Option<[f64; 6]>,
+    /// Mean e eᵀ, m² and rad²: the most likely constant with correlations. `None` where it is not positive definite.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mean_outer_product: Option<[[f64; 6]; 6]>,
     /// Log-linear in the measured motion; `None` for a system without errors.
     #[serde(default)]
     pub log_linear: Option<LogLinear>,
@@ -46,6 +49,8 @@ impl Baselines {
     /// Fits to errors (m and rad) and the measured motions they belong to (`log T̂` in vehicle axes).
     pub fn fit(motions: &[Tangent], errors: &[Tangent]) -> Self {
         let sum: Vector6<f64> = errors.iter().map(|error| error.component_mul(error)).sum();
+        let outer: Matrix6<f64> = errors.iter().map(|error| error * error.transpose()).sum();
+        let outer = Covariance6::from_matrix(outer / errors.len().max(1) as f64).ok().filter(Covariance6::is_positive);
         let median_variance: [f64; 6] = std::array::from_fn(|component| {
             let sizes = errors.iter().map(|error| error[component].abs()).collect();
             (SIGMA_PER_MEDIAN * median(sizes).unwrap_or(0.0)).powi(2)
@@ -53,6 +58,8 @@ impl Baselines {
         Self {
             mean_squared_error: (sum / errors.len().max(1) as f64).into(),
             median_variance: median_variance.iter().all(|&variance| variance > 0.0).then_some(median_variance),
+            mean_outer_product: outer
+                .map(|outer| std::array::from_fn(|row| std::array::from_fn(|column| outer.matrix()[(row, column)]))),
             log_linear: LogLinear::fit(motions, errors),
         }
     }

@@ -1,6 +1,6 @@
 //! The ways to give measurements their covariances that an evaluation sets side by side.
 
-use nalgebra::Vector6;
+use nalgebra::{Matrix6, Vector6};
 
 use super::baselines::Baselines;
 use super::pair_table::SystemPairs;
@@ -17,6 +17,8 @@ pub enum Method {
     Zero,
     /// The system's mean e² over the training set.
     Constant,
+    /// The same with its correlations: mean e eᵀ over the training set. For fusion, where they count; not among [`Method::ALL`].
+    ConstantFull,
     /// The square of 1.4826 times its median |e| over the training set.
     ConstantMad,
     /// [`LogLinear`](super::LogLinear) in the measured motion, fitted to the training set.
@@ -31,7 +33,7 @@ pub enum Method {
 }
 
 impl Method {
-    /// All of them, in the order of tables.
+    /// Those of the tables of an evaluation, in their order.
     pub const ALL: [Self; 9] = [
         Self::Predicted,
         Self::Uncalibrated,
@@ -56,6 +58,7 @@ impl Method {
             Self::Uncalibrated => format!("{predicted}_uncalibrated"),
             Self::Zero => "zero".to_owned(),
             Self::Constant => "constant".to_owned(),
+            Self::ConstantFull => "constant_full".to_owned(),
             Self::ConstantMad => "constant_mad".to_owned(),
             Self::LogLinear => "log_linear".to_owned(),
             Self::Oracle => "oracle".to_owned(),
@@ -84,6 +87,11 @@ impl Method {
             }
             Self::Zero => Some(repeated(&[0.0; 6])),
             Self::Constant => Some(repeated(&baselines?.mean_squared_error)),
+            Self::ConstantFull => {
+                let rows = baselines?.mean_outer_product?;
+                let matrix = Matrix6::from_fn(|row, column| rows[row][column]);
+                Some(vec![Covariance6::from_matrix(matrix).ok()?; system.rows.len()])
+            }
             Self::ConstantMad => Some(repeated(&baselines?.median_variance?)),
             Self::LogLinear => {
                 let law = baselines?.log_linear?;

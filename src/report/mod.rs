@@ -4,6 +4,7 @@ mod comparison;
 mod contact_sheet;
 pub mod figures;
 mod full_table;
+mod fusion;
 mod html;
 mod scores;
 mod table;
@@ -11,6 +12,7 @@ mod table_two;
 
 pub use comparison::{Comparison, Entry, Judged};
 pub use contact_sheet::{CONTACT_SHEET_COLUMNS, contact_sheet};
+pub use fusion::{FusionRow, fusion_table};
 pub use html::html_page;
 pub use scores::{Intervals, render_results};
 pub use table::TableFormat;

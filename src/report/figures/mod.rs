@@ -10,6 +10,7 @@ mod reliability;
 mod sequence;
 mod sparsification;
 mod speed;
+mod trajectory;
 
 use std::path::Path;
 
@@ -21,9 +22,10 @@ use crate::geometry::Covariance6;
 use crate::training::LOSSES;
 
 pub use raster::to_png;
+pub use trajectory::{DrawnTrajectory, FusedDrive, draw_fusion};
 
 /// What drawing may run into.
-type Drawing<T> = std::result::Result<T, Box<dyn std::error::Error>>;
+pub type Drawing<T> = std::result::Result<T, Box<dyn std::error::Error>>;
 
 /// A picture with its place in a report.
 #[derive(Clone, Debug, PartialEq)]
