@@ -1,19 +1,26 @@
 //! One measurement for `data_scripts/bench_peer.py`, which runs the same one in PyTorch beside it.
 //!
-//! `cargo bench --bench peer -- train|forward|warp|depth HEIGHT WIDTH BATCH RUNS` prints one line of JSON:
-//! median and least time in milliseconds, peak memory in MB, and memory before the network was built. `RAYON_NUM_THREADS` sets the threads,
+//! `cargo bench --bench peer -- train|forward|warp|depth|latency HEIGHT WIDTH BATCH RUNS` prints one line of JSON:
+//! median, least and 99th percentile of the time in milliseconds, peak memory in MB, and memory before the network was built. `RAYON_NUM_THREADS` sets the threads,
 //! `RELCOV_INSTRUCTIONS=burn` takes Burn's own operations in place of relcov's kernels, and
-//! `RELCOV_BENCH_DEVICE` names another device than flex.
+//! `RELCOV_BENCH_DEVICE` names another device than flex. `latency` predicts one covariance from end to end, from the two
+//! image files that `RELCOV_BENCH_IMAGES` names (FIRST:SECOND).
 
+use std::path::Path;
 use std::time::Instant;
 
 use burn::optim::{GradientsParams, ModuleOptimizer};
 use burn::tensor::{Device, Distribution, Tensor, TensorData};
+use relcov::data::decode_image;
+use relcov::depth::ground_plane_depth;
 use relcov::depth::monodepth2::Monodepth2;
 use relcov::device::open_device;
+use relcov::geometry::{ErrorFrame, Pinhole, Pose, Tangent};
 use relcov::kernels::Adam;
+use relcov::model::Architecture;
 use relcov::network::{CovarianceNetworkConfig, Head};
 use relcov::warp::Warp;
+use relcov::{Measurement, Model};
 
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
@@ -25,7 +32,7 @@ fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| argument != "--bench").collect();
     let [mode, numbers @ ..] = &arguments[..] else {
         eprintln!(
-            "peer: run by data_scripts/bench_peer.py, or with `-- train|forward|warp|depth HEIGHT WIDTH BATCH RUNS`"
+            "peer: run by data_scripts/bench_peer.py, or with `-- train|forward|warp|depth|latency HEIGHT WIDTH BATCH RUNS`"
         );
         return;
     };
@@ -39,13 +46,17 @@ fn main() {
         "forward" => forward([batch, height, width], runs, &device),
         "warp" => warp([batch, height, width], runs, &device),
         "depth" => depth([batch, height, width], runs, &device),
+        "latency" => latency([height, width], runs, &device),
         mode => panic!("unknown measurement `{mode}`"),
     };
     let middle = times.len() / 2;
     let (median, least) = (0.5 * (times[middle] + times[(times.len() - 1) / 2]), times[0]);
-    let numbers = [median, least, memory_mb("VmHWM"), before].map(|number| format!("{number:.3}"));
-    let [median, least, peak, before] = numbers;
-    println!(r#"{{"median_ms": {median}, "least_ms": {least}, "peak_mb": {peak}, "before_mb": {before}}}"#);
+    let late = times[(times.len() * 99).div_ceil(100) - 1];
+    let numbers = [median, least, late, memory_mb("VmHWM"), before].map(|number| format!("{number:.3}"));
+    let [median, least, late, peak, before] = numbers;
+    println!(
+        r#"{{"median_ms": {median}, "least_ms": {least}, "p99_ms": {late}, "peak_mb": {peak}, "before_mb": {before}}}"#
+    );
 }
 
 /// Times of `run`, ascending, ms.
@@ -114,6 +125,35 @@ fn depth([batch, height, width]: [usize; 3], runs: usize, device: &Device) -> Ve
     let network = Monodepth2::init(0.1, device);
     let images = Tensor::<4>::random([batch, 3, height, width], Distribution::Default, device);
     times(runs, || drop(std::hint::black_box(network.disparity(images.clone()).into_data())))
+}
+
+/// One covariance from end to end: two image files in memory are decoded and brought to the network's size, the source is
+/// warped by the measured pose and the given depth, and the network's six numbers come back.
+fn latency([height, width]: [usize; 2], runs: usize, device: &Device) -> Vec<f64> {
+    let names = std::env::var("RELCOV_BENCH_IMAGES").expect("RELCOV_BENCH_IMAGES=FIRST:SECOND");
+    let files: Vec<(&Path, Vec<u8>)> =
+        names.split(':').map(|name| (Path::new(name), std::fs::read(name).expect("an image file"))).collect();
+    let [source, target] = &files[..] else { panic!("RELCOV_BENCH_IMAGES names two files") };
+    let model = Model::untrained(Architecture::paper(width, height), ErrorFrame::Vehicle, [-4.0; 6], device);
+    let image = decode_image(&source.1, source.0).expect("an image");
+    let (full_width, full_height) = (image.width, image.height);
+    let focal = 0.58 * full_width as f64;
+    let (cx, cy) = (0.5 * full_width as f64, 0.5 * full_height as f64);
+    let camera = Pinhole { fx: focal, fy: focal, cx, cy, width: full_width, height: full_height };
+    let depth = ground_plane_depth(&camera.resized(width, height), 1.65, None, 80.0);
+    times(runs, || {
+        let decode = |file: &(&Path, Vec<u8>)| decode_image(&file.1, file.0).expect("an image");
+        let (source_image, target_image) = rayon::join(|| decode(source), || decode(target));
+        let measurement = Measurement {
+            source_image,
+            target_image,
+            target_depth: depth.clone(),
+            camera,
+            source_from_target: Pose::exp(&Tangent::new(0.01, 0.0, 0.9, 0.0, 0.01, 0.0)),
+            right: None,
+        };
+        std::hint::black_box(model.predict(&measurement).expect("a covariance"));
+    })
 }
 
 /// A line of this process's memory statistics, MB; 0 where the system keeps none.

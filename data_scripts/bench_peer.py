@@ -1,17 +1,18 @@
 #!/usr/bin/env -S uv run --script
 # /// script
 # requires-python = ">=3.10"
-# dependencies = ["torch>=2.5", "numpy"]
+# dependencies = ["torch>=2.5", "numpy", "opencv-python-headless"]
 # ///
 """Times relcov beside PyTorch, on this machine, in one run, and writes docs/performance.md.
 
     uv run data_scripts/bench_peer.py                        # everything; about 20 minutes on 2 cores
     uv run data_scripts/bench_peer.py --only forward         # lines whose name holds a word; prints only
     uv run data_scripts/bench_peer.py --depth                # the depth network's table alone
+    uv run data_scripts/bench_peer.py --latency              # one pair from end to end alone
     uv run data_scripts/bench_peer.py --gpu vulkan cuda      # PyTorch CUDA beside these devices of relcov;
                                                              # writes docs/results/gpu.md
 
-Without uv: pip install torch numpy, then python data_scripts/bench_peer.py.
+Without uv: pip install torch numpy opencv-python-headless, then python data_scripts/bench_peer.py.
 
 Each measurement is a process of its own, so that peak memory is that of the case; relcov's and
 PyTorch's take turns for several rounds, and the medians of all rounds are compared. PyTorch runs eagerly
@@ -51,6 +52,10 @@ DEPTH_CASES = [
     ("depth", 320, 1024, 1, 6, 1.00),
     ("depth", 320, 1024, 4, 3, 1.00),
 ]
+# One pair from end to end: two JPEG files of KITTI's size, depth given.
+LATENCY_CASES = [("latency", 160, 512, 1, 200, 0.50), ("latency", 96, 320, 1, 200, 0.50)]
+# Where the two files are, unless --images names others.
+LATENCY_IMAGES = "../shared/kitti/2011_09_30/2011_09_30_drive_0018_sync/image_02/data/000000000{}.jpg"
 # Mode, height, width, batch, runs, threads; None: all of them.
 SCALING = [
     ("train", 96, 320, 1, 12, None),
@@ -114,6 +119,37 @@ def torch_depth_network(torch):
     return Disparity().eval()
 
 
+def torch_latency(torch, height, width):
+    """Decode, resize, warp, network, as Model::predict does it: OpenCV and PyTorch, the depth given."""
+    import cv2
+    import numpy
+
+    cv2.setNumThreads(int(os.environ["BENCH_THREADS"]))
+    files = [numpy.fromfile(name, numpy.uint8) for name in os.environ["RELCOV_BENCH_IMAGES"].split(":")]
+    full_height, full_width = cv2.imdecode(files[0], cv2.IMREAD_COLOR).shape[:2]
+    scale_x, scale_y = width / full_width, height / full_height
+    focal, cx, cy = 0.58 * full_width, 0.5 * full_width, 0.5 * full_height
+    intrinsics = torch.tensor([[focal * scale_x, focal * scale_y, (cx + 0.5) * scale_x - 0.5, (cy + 0.5) * scale_y - 0.5]])
+    rows = (torch.arange(float(height)) - intrinsics[0, 3]).clamp(min=1e-3)
+    depth = (1.65 * intrinsics[0, 1] / rows).clamp(max=80).view(1, 1, height, 1).expand(1, 1, height, width).contiguous()
+    pose = torch.tensor([[[1, 0, 0.01, 0.01], [0, 1, 0, 0], [-0.01, 0, 1, 0.9], [0, 0, 0, 1]]])
+    layout = torch.channels_last
+    network = torch_network(torch, height, width).eval().to(memory_format=layout)
+
+    def read(file):
+        image = cv2.resize(cv2.imdecode(file, cv2.IMREAD_COLOR_RGB), (width, height), interpolation=cv2.INTER_AREA)
+        return torch.from_numpy(image).permute(2, 0, 1)[None].float().div_(255)
+
+    def run():
+        with torch.inference_mode():
+            source, target = map(read, files)
+            warped = torch_warp(torch, source, depth, intrinsics, pose)
+            images = torch.cat([target - 0.5, warped - 0.5], 1).contiguous(memory_format=layout)
+            return network(images).double().exp().numpy()
+
+    return run
+
+
 def torch_measurement(mode, height, width, batch, runs, layout, adam, device, precision):
     import torch
 
@@ -123,7 +159,9 @@ def torch_measurement(mode, height, width, batch, runs, layout, adam, device, pr
     # f32 means f32, on a GPU as well.
     torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = False
     autocast = torch.autocast(device, torch.bfloat16, enabled=precision == "bf16")
-    if mode == "warp":
+    if mode == "latency":
+        run = torch_latency(torch, height, width)
+    elif mode == "warp":
         image = torch.rand(batch, 3, height, width, device=device)
         rows = torch.arange(float(height), device=device)
         focal_px = 0.58 * width
@@ -171,7 +209,8 @@ def torch_measurement(mode, height, width, batch, runs, layout, adam, device, pr
         finish()
         times.append((time.perf_counter() - begin) * 1e3)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(json.dumps({"median_ms": statistics.median(times), "least_ms": min(times), "peak_mb": peak, "before_mb": before,
+    late = sorted(times)[-(-len(times) * 99 // 100) - 1]
+    print(json.dumps({"median_ms": statistics.median(times), "least_ms": min(times), "p99_ms": late, "peak_mb": peak, "before_mb": before,
                       "version": torch.__version__}))
 
 
@@ -213,6 +252,7 @@ def median_of(results):
     return {
         **results[0],
         "median_ms": statistics.median(result["median_ms"] for result in results),
+        "p99_ms": statistics.median(result["p99_ms"] for result in results),
         "memory_mb": statistics.median(result["peak_mb"] - result["before_mb"] for result in results),
     }
 
@@ -225,7 +265,7 @@ def side_by_side(binary, case, rounds):
     mode = case[0]
     sides = {("relcov", ""): lambda: relcov(binary, *case), ("stock", ""): lambda: relcov(binary, *case, instructions="burn")}
     for adam in ["default", "fused"] if mode == "train" else ["default"]:
-        for layout in LAYOUTS[:1] if mode == "warp" else LAYOUTS:
+        for layout in LAYOUTS[:1] if mode in ("warp", "latency") else LAYOUTS:
             side = "torch" if adam == "default" else "fused"
             sides[side, layout] = lambda layout=layout, adam=adam: torch_worker(*case, layout=layout, adam=adam)
     return best_of(take_turns(sides, rounds))
@@ -269,7 +309,7 @@ def ms(value):
 
 
 def kind(mode):
-    return {"train": "train step", "forward": "forward", "warp": "warp", "depth": "depth"}[mode]
+    return {"train": "train step", "forward": "forward", "warp": "warp", "depth": "depth", "latency": "one covariance"}[mode]
 
 
 def row(cells):
@@ -316,6 +356,20 @@ def depth_table(binary, rounds, only):
         memory = [f"{side['memory_mb']:.0f}" for side in (torch, stock, ours)]
         ratio = f"**{ours['median_ms'] / torch['median_ms']:.2f}**"
         lines.append(row([label(*case[:4]), *times, ratio, f"{aim:.2f}", ms(ours["median_ms"] / case[3]), *memory]))
+        print(lines[-1], flush=True)
+    return lines
+
+
+def latency_table(binary, rounds, images):
+    heads = ["case", "PyTorch + OpenCV, ms: median", "99 %", "relcov, ms: median", "99 %", "relcov / peer", "aim", "at 99 %"]
+    lines = [row(heads), "|---" * len(heads) + "|"]
+    os.environ["RELCOV_BENCH_IMAGES"] = ":".join(images)
+    for *case, aim in LATENCY_CASES:
+        found = side_by_side(binary, case, rounds)
+        ours, torch = found["relcov"], found["torch"]
+        numbers = [ms(side[key]) for side in (torch, ours) for key in ("median_ms", "p99_ms")]
+        ratios = [ours[key] / torch[key] for key in ("median_ms", "p99_ms")]
+        lines.append(row([f"{kind(case[0])}, {case[1]}x{case[2]}", *numbers, f"**{ratios[0]:.2f}**", f"{aim:.2f}", f"{ratios[1]:.2f}"]))
         print(lines[-1], flush=True)
     return lines
 
@@ -394,6 +448,8 @@ def main():
     parser.add_argument("--rounds", type=int, default=4, help="turns of each side (default 4)")
     parser.add_argument("--only", help="measure the lines whose name holds this, and print only")
     parser.add_argument("--depth", action="store_true", help="measure the depth network alone")
+    parser.add_argument("--latency", action="store_true", help="measure one pair from end to end alone")
+    parser.add_argument("--images", nargs=2, help="the two image files of --latency (default: of KITTI's drive 0018)")
     parser.add_argument("--no-scaling", action="store_true", help="leave the scaling table as it is")
     parser.add_argument("--gpu", nargs="+", metavar="DEVICE", help="devices of relcov to compare with PyTorch on a GPU")
     parser.add_argument("--torch-device", default="cuda", choices=["cuda", "cpu"], help="PyTorch's device for --gpu (default cuda)")
@@ -403,15 +459,20 @@ def main():
     if arguments.gpu:
         return gpu_table(arguments.gpu, arguments.torch_device, arguments.rounds, arguments.gpu_shape)
     if not arguments.only:
-        check_page(["machine", "comparison", "scaling", "depth"])
+        check_page(["machine", "comparison", "scaling", "depth", "latency"])
+    images = arguments.images or [str((ROOT / LATENCY_IMAGES.format(frame)).resolve()) for frame in range(2)]
+    if not arguments.only and (missing := [name for name in images if not Path(name).is_file()]):
+        sys.exit(f"{missing[0]}: no such file; --images names two JPEG files for --latency")
     binary = build()
+    if arguments.latency:
+        return write_page({"latency": latency_table(binary, arguments.rounds, images)})
     depth_lines = depth_table(binary, arguments.rounds, arguments.only)
     if arguments.depth:
         return None if arguments.only else write_page({"depth": depth_lines})
     main_lines, version = main_table(binary, arguments.rounds, arguments.only)
     if arguments.only:
         return
-    tables = {"comparison": main_lines, "depth": depth_lines}
+    tables = {"comparison": main_lines, "depth": depth_lines, "latency": latency_table(binary, arguments.rounds, images)}
     scaling_rounds = max(1, arguments.rounds // 2)
     if not arguments.no_scaling:
         tables["scaling"] = scaling_table(binary, scaling_rounds)
