@@ -24,6 +24,14 @@ check-synthetic:
 check-metrics:
     uv run data_scripts/check_metrics.py
 
+# Every export as GTSAM, a g2o reader, ROS and evo understand it
+check-exports:
+    uv run data_scripts/check_exports.py
+
+# The Python package and its tests
+python:
+    pip install './python[test]' && pytest python
+
 # The main job on the real sample
 sample *ARGS:
     cargo run --release -- train --config configs/kitti_sample.toml {{ARGS}}

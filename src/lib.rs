@@ -7,7 +7,10 @@
 //!
 //! | to | see |
 //! |---|---|
-//! | predict a covariance with a trained model | [`Model`] |
+//! | predict a covariance with a trained model | [`Model`], its input a [`Measurement`], its output a [`Covariance6`] |
+//! | predict for a whole data set, or for a stream of JSON lines | [`Model::predict_measurements`], [`Stream`], or `relcov predict` |
+//! | hand covariances to GTSAM, g2o, ROS, … | [`export`] |
+//! | fuse systems and fixes to a trajectory | [`fusion`], or `relcov fuse` |
 //! | know what order, side, frame and unit a number has | [`geometry`] |
 //! | train | [`training::Learner`], or `relcov train` |
 //! | have depth for the warp, or train a network for it | [`depth`], [`training::depth`], or `relcov depth`, `relcov train-depth` |
@@ -18,7 +21,7 @@
 //! | know why it is fast | [`kernels`] |
 //!
 //! Data flow one way: [`data`] (with [`systems`] and [`depth`]) → [`warp`] → [`network`] → [`loss`] →
-//! [`training`] → [`evaluation`] → [`report`]. Two worlds meet at two doors: [`data::PairBatch`] takes
+//! [`training`] → [`evaluation`] → [`report`]; a trained [`Model`] → [`export`], [`fusion`]. Two worlds meet at two doors: [`data::PairBatch`] takes
 //! f64 poses to f32 tensors, [`evaluation`] and [`Model::predict`] bring numbers back.
 #![warn(missing_docs)]
 #![deny(unsafe_code)]

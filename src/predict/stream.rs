@@ -1,24 +1,4 @@
 //! Predictions by JSON lines: one object in, one object out, so that any language can ask.
-//!
-//! A request:
-//!
-//! ```json
-//! {"id": 7, "source_image": "0.png", "target_image": {"base64": "…"}, "intrinsics": [707.1, 707.1, 601.9, 183.1],
-//!  "pose": [0.0, 0.0, 0.9, 0.0, 0.0, 0.0, 1.0], "depth": "1_depth.png"}
-//! ```
-//!
-//! | field | meaning |
-//! |---|---|
-//! | `source_image`, `target_image` | PNG or JPEG: a path, or an object with its `base64`; rectified, of one size |
-//! | `intrinsics` | fx, fy, cx, cy at that size, px, pixel centres at integer coordinates |
-//! | `pose` | measured `ⁱT̂ᵢ₊₁`: 7 numbers `x y z qx qy qz qw`, or 12 or 16 of a matrix, row by row, nested or not; m |
-//! | `pose_frame` | `camera` (default) or `vehicle`: whose motion that is |
-//! | `camera_from_vehicle` | a pose in the same form; default: the vehicle is where the camera is, x forward, z up |
-//! | `depth` | of the target, 16-bit PNG, metres x 256: a path or `base64`; default: what the run's own source makes |
-//! | `right_source_image`, `right_target_image`, `right_from_left` | for stereo models |
-//! | `id` | anything; comes back with the answer |
-//!
-//! The answer has `id`, and `covariance` (6 x 6), `std_devs`, `order`, `frame` and `perturbation`, or `error`.
 
 use std::path::{Path, PathBuf};
 
@@ -68,6 +48,26 @@ pub struct StreamSettings {
 }
 
 /// Answers requests one by one; keeps nothing of them.
+///
+/// A request:
+///
+/// ```json
+/// {"id": 7, "source_image": "0.png", "target_image": {"base64": "…"}, "intrinsics": [707.1, 707.1, 601.9, 183.1],
+///  "pose": [0.0, 0.0, 0.9, 0.0, 0.0, 0.0, 1.0], "depth": "1_depth.png"}
+/// ```
+///
+/// | field | meaning |
+/// |---|---|
+/// | `source_image`, `target_image` | PNG or JPEG: a path, or an object with its `base64`; rectified, of one size |
+/// | `intrinsics` | fx, fy, cx, cy at that size, px, pixel centres at integer coordinates |
+/// | `pose` | measured `ⁱT̂ᵢ₊₁`: 7 numbers `x y z qx qy qz qw`, or 12 or 16 of a matrix, row by row, nested or not; m |
+/// | `pose_frame` | `camera` (default) or `vehicle`: whose motion that is |
+/// | `camera_from_vehicle` | a pose in the same form; default: the vehicle is where the camera is, x forward, z up |
+/// | `depth` | of the target, 16-bit PNG, metres x 256: a path or `base64`; default: what the run's own source makes |
+/// | `right_source_image`, `right_target_image`, `right_from_left` | for stereo models |
+/// | `id` | anything; comes back with the answer |
+///
+/// The answer has `id`, and `covariance` (6 x 6), `std_devs`, `order`, `frame` and `perturbation`, or `error`.
 pub struct Stream<'a> {
     model: &'a Model,
     depth: LiveDepth,

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use plotters::prelude::*;
 
 use super::Drawing;
-use super::canvas::{ERROR, FONT, GREY, draw_axes, draw_line, full_line, sheet, style, thin};
+use super::canvas::{ERROR, FONT, GREY, Style, draw_axes, draw_line, full_line, sheet, style, thin};
 use crate::systems::Trajectory;
 
 /// One drive's trajectories.
@@ -29,6 +29,11 @@ pub struct DrawnTrajectory {
     pub poses: Trajectory,
 }
 
+/// Styles of the estimates, without the grey that is near the truth's.
+fn look(index: usize) -> Style {
+    style(if index < 4 { index } else { index + 1 })
+}
+
 /// Draws a row for each drive: the map from above, and the distance to the truth frame by frame.
 ///
 /// # Errors
@@ -36,7 +41,7 @@ pub struct DrawnTrajectory {
 pub fn draw_fusion(drives: &[FusedDrive]) -> Drawing<String> {
     let labels = drives.first().map_or(&[][..], |drive| &drive.fused);
     let mut legend: Vec<_> = vec![("truth".to_owned(), full_line(GREY)), ("fixes".to_owned(), full_line(ERROR))];
-    legend.extend(labels.iter().enumerate().map(|(index, drawn)| (drawn.label.clone(), style(index))));
+    legend.extend(labels.iter().enumerate().map(|(index, drawn)| (drawn.label.clone(), look(index))));
     let size = [1100, 38 + 400 * drives.len() as u32];
     sheet("Fused trajectories: map, and distance to the truth", size, [drives.len(), 2], &legend, |index, panel| {
         let drive = &drives[index / 2];
@@ -69,7 +74,7 @@ fn draw_map(drive: &FusedDrive, panel: &super::canvas::Sheet) -> Drawing<()> {
     draw_axes(&mut chart, "east [m]", "north [m]")?;
     draw_line(&mut chart, points, full_line(GREY))?;
     for (index, drawn) in fused.iter().enumerate() {
-        draw_line(&mut chart, drawn.poses.values().map(|pose| on_map(&pose.translation)), thin(style(index)))?;
+        draw_line(&mut chart, drawn.poses.values().map(|pose| on_map(&pose.translation)), thin(look(index)))?;
     }
     chart.draw_series(fixes.iter().map(|fix| Cross::new(on_map(fix), 4, ERROR.stroke_width(1))))?;
     Ok(())
@@ -91,7 +96,7 @@ fn draw_distance(drive: &FusedDrive, panel: &super::canvas::Sheet) -> Drawing<()
         .build_cartesian_2d(first..last.max(first + 1.0), 0.0..1.05 * highest)?;
     draw_axes(&mut chart, "frame", "distance to the truth [m]")?;
     for (index, line) in lines.into_iter().enumerate() {
-        draw_line(&mut chart, line, style(index))?;
+        draw_line(&mut chart, line, look(index))?;
     }
     Ok(())
 }
