@@ -51,7 +51,7 @@ fn main() -> anyhow::Result<()> {
     let pairs = dataset.require(SplitName::Test)?;
     let predicted = model.predict_measurements(&config, &dataset, pairs, ErrorFrame::Vehicle, &mut |_| Ok(()))?;
     for measured in &predicted {
-        println!("# {} on {}, {} axes", measured.system, measured.drive, measured.frame);
+        println!("# {} on {}, {} axes", measured.system, measured.drive, measured.frame.name());
         print!("{}", Format::Gtsam.render(measured, &ExportOptions::default())?);
     }
     Ok(())

@@ -9,6 +9,9 @@ use tempfile::NamedTempFile;
 
 use crate::error::{Error, Place, Result};
 
+/// Larger files are no images.
+const LARGEST_FILE_BYTES: u64 = 256 << 20;
+
 /// Reads a whole text file.
 pub(crate) fn read_text(path: &Path) -> Result<String> {
     std::fs::read_to_string(path).map_err(Error::io("read", path))
@@ -34,15 +37,46 @@ pub(crate) fn parse_numbers(text: &str, path: &Path, place: &Place) -> Result<Ve
         .collect()
 }
 
-/// Writes a file under a temporary name beside it and renames it.
+/// Reads a whole file of bytes: a regular one, and not one so large that it can only be a mistake.
+///
+/// # Errors
+/// It cannot be read, is a folder, a pipe or a device, or larger than any image is.
+pub(crate) fn read_bytes(path: &Path) -> Result<Vec<u8>> {
+    let metadata = std::fs::metadata(path).map_err(Error::io("read", path))?;
+    if !metadata.is_file() || metadata.len() > LARGEST_FILE_BYTES {
+        let found = if metadata.is_file() { format!("{} bytes", metadata.len()) } else { "no regular file".to_owned() };
+        let expected = format!("a file of at most {} MiB", LARGEST_FILE_BYTES >> 20);
+        return Err(Error::malformed(path, Place::Whole, found, expected));
+    }
+    std::fs::read(path).map_err(Error::io("read", path))
+}
+
+/// That a file can be written there, as far as that can be told before: what is there is no folder.
+///
+/// # Errors
+/// It is one.
+pub(crate) fn require_no_folder(path: &Path) -> Result<()> {
+    match path.is_dir() {
+        true => Err(Error::malformed(path, Place::Whole, "a folder", "the name of a file to write")),
+        false => Ok(()),
+    }
+}
+
+/// Writes a file under a temporary name beside it and renames it. A link is followed; what is no regular file, such as a
+/// pipe, is written to as it is.
 ///
 /// # Errors
 /// It cannot be written; a file of that name stays as it was.
 pub(crate) fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    require_no_folder(path)?;
+    if path.metadata().is_ok_and(|metadata| !metadata.is_file()) {
+        return std::fs::write(path, bytes).map_err(Error::io("write", path));
+    }
+    let followed = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    let folder = followed.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut file = temporary_in(folder).map_err(Error::io("write into", folder))?;
     file.write_all(bytes).and_then(|()| file.as_file().sync_all()).map_err(Error::io("write", path))?;
-    file.persist(path).map_err(|error| Error::io("rename into place", path)(error.error))?;
+    file.persist(&followed).map_err(|error| Error::io("rename into place", path)(error.error))?;
     Ok(())
 }
 
@@ -77,4 +111,27 @@ fn temporary_in(folder: &Path) -> std::io::Result<NamedTempFile> {
         builder.permissions(std::fs::Permissions::from_mode(0o666));
     }
     builder.tempfile_in(folder)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn links_are_followed_and_folders_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("target.txt");
+        std::fs::write(&target, "old").unwrap();
+        #[cfg(unix)]
+        {
+            let link = folder.path().join("link.txt");
+            std::os::unix::fs::symlink(&target, &link).unwrap();
+            write_atomically(&link, b"new").unwrap();
+            assert!(link.is_symlink());
+            assert_eq!(std::fs::read_to_string(&target).unwrap(), "new");
+            let message = read_bytes(Path::new("/dev/null")).unwrap_err().to_string();
+            assert!(message.contains("no regular file"), "{message}");
+        }
+        assert!(write_atomically(folder.path(), b"new").unwrap_err().to_string().contains("a folder"));
+    }
 }

@@ -92,6 +92,10 @@ class Model:
             raise ValueError("K: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]; rectify the images first")
         if right is None:
             right_images = right_from_left = None
+        elif not self.stereo:
+            raise ValueError("right: this model looks at one camera; leave it out")
+        elif not isinstance(right, (tuple, list)) or len(right) != 3:
+            raise ValueError("right: expected right source image, right target image and right_from_left")
         else:
             right_images = (_image("right[0]", right[0]), _image("right[1]", right[1]))
             right_from_left = _pose("right[2]", right[2])
@@ -142,7 +146,10 @@ def _image(name: str, image: np.ndarray) -> Tuple[int, int, bytes]:
 
 
 def _depth(depth: np.ndarray) -> Tuple[int, int, bytes]:
-    array = np.asarray(depth, dtype="<f4")
+    array = np.asarray(depth)
+    if array.dtype.kind != "f":
+        raise ValueError(f"depth: found {array.dtype}; expected floats in metres (KITTI's 16-bit PNG: divide by 256)")
+    array = array.astype("<f4")
     if array.ndim != 2 or 0 in array.shape:
         raise ValueError(f"depth: found shape {array.shape}; expected (height, width)")
     if np.isinf(array).any() or (array < 0).any():
@@ -151,6 +158,8 @@ def _depth(depth: np.ndarray) -> Tuple[int, int, bytes]:
 
 
 def _matrix(name: str, matrix: np.ndarray, shapes: "list[tuple[int, int]]") -> np.ndarray:
+    if np.iscomplexobj(matrix):
+        raise ValueError(f"{name}: found complex numbers; expected real ones")
     array = np.asarray(matrix, dtype=np.float64)
     if array.shape not in shapes:
         raise ValueError(f"{name}: found shape {array.shape}; expected {' or '.join(map(str, shapes))}")
@@ -163,4 +172,6 @@ def _pose(name: str, pose: np.ndarray) -> "list[float]":
     array = _matrix(name, pose, [(4, 4), (3, 4)])
     if array.shape == (4, 4) and not np.allclose(array[3], [0.0, 0.0, 0.0, 1.0], rtol=0.0, atol=1e-9):
         raise ValueError(f"{name}: found {array[3]} as its last row; expected 0 0 0 1")
+    if not np.allclose(array[:3, :3] @ array[:3, :3].T, np.eye(3), rtol=0.0, atol=1e-3) or np.linalg.det(array[:3, :3]) < 0:
+        raise ValueError(f"{name}: its upper left 3x3 block is no rotation matrix")
     return np.vstack([array[:3], [0.0, 0.0, 0.0, 1.0]]).ravel().tolist()

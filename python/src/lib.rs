@@ -57,7 +57,7 @@ impl NativeModel {
         py.detach(|| {
             let device = relcov::device::open_device(device)?;
             let model = relcov::Model::load(path, &device)?;
-            let depth = model.live_depth()?;
+            let depth = model.live_depth();
             Ok(Self { model, depth })
         })
         .map_err(to_python)

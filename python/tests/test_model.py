@@ -140,6 +140,9 @@ def test_what_is_wrong_is_named(world):
         (dict(T=np.full((4, 4), np.nan)), "T: found a value"),
         (dict(T=np.ones((2, 2))), "T: found shape"),
         (dict(depth=-good["depth"]), "depth: found infinite or negative"),
+        (dict(depth=(256 * good["depth"]).astype(np.uint16)), "depth: found uint16"),
+        (dict(K=good["K"] + 1j), "K: found complex"),
+        (dict(right=(good["image0"], good["image1"])), "right: this model looks at one camera"),
         (dict(depth=np.zeros((3, 3))), "not one pixel"),
         (dict(depth=None), "no depth was given"),
     ]:

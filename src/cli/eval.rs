@@ -77,8 +77,8 @@ pub fn run(arguments: EvalArguments, terminal: &Terminal) -> anyhow::Result<()> 
     if arguments.pairs.is_some() && !(set.is_empty() && device.is_none()) {
         return Err(Error::Data("--set and --device change nothing about --pairs; leave them out".to_owned()).into());
     }
-    if let Some(key) = set.iter().find(|key| arguments.run.is_some() && key.trim_start().starts_with("model.")) {
-        return Err(Error::config(key, "a trained model keeps its shape; train another run for another one").into());
+    if arguments.run.is_some() {
+        arguments.overrides.refuse_model_keys()?;
     }
     let split = arguments.split.name();
     let entry = match (&arguments.run, &arguments.pairs, &arguments.config) {

@@ -16,11 +16,11 @@ use crate::error::{Error, Result};
 use crate::evaluation::{Baselines, Method, PairTable, SystemPairs};
 use crate::export::fused_trajectory;
 use crate::files::{read_text, write_atomically};
-use crate::fusion::{Fix, FusedTrajectory, Odometry, SimulatedFixes, TrajectoryScores, fuse, parse_fixes};
+use crate::fusion::{DEVIATIONS, Fix, Odometry, SimulatedFixes, TrajectoryScores, fuse, parse_fixes};
 use crate::geometry::{Covariance6, ErrorFrame, Pose, Tangent};
 use crate::report::figures::{DrawnTrajectory, FusedDrive, draw_fusion, to_png};
 use crate::report::{FusionRow, TableFormat, fusion_table};
-use crate::systems::{Trajectory, Truth, parse_kitti_trajectory, parse_relative_poses};
+use crate::systems::{Trajectory, Truth, parse_kitti_trajectory, parse_relative_poses, stated_frame};
 use crate::training::{Manifest, RunFolder};
 
 /// What trained predictions are called.
@@ -78,7 +78,7 @@ pub struct FuseArguments {
     #[arg(long, default_value_t = 0, requires = "simulate_fixes")]
     seed: u64,
     /// Fuse so many times, with other simulated fixes each time, and score all of them
-    #[arg(long, default_value_t = 1, requires = "simulate_fixes", value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, default_value_t = 1, requires = "simulate_fixes", conflicts_with = "odometry", value_parser = clap::value_parser!(u64).range(1..10_000))]
     draws: u64,
     /// Write trajectories with their marginal covariances: of --odometry to this file, else into this folder
     #[arg(long, value_name = "PATH")]
@@ -96,7 +96,7 @@ pub struct FuseArguments {
 fn parse_simulated(text: &str) -> Result<(usize, f64), String> {
     let parsed =
         text.split_once(',').and_then(|(every, std)| Some((every.trim().parse().ok()?, std.trim().parse().ok()?)));
-    let usable = parsed.filter(|(every, std): &(usize, f64)| *every > 0 && std.is_finite() && *std > 0.0);
+    let usable = parsed.filter(|(every, std): &(usize, f64)| *every > 0 && DEVIATIONS.contains(std));
     usable.ok_or_else(|| format!("`{text}` is not N,STD; a fix every 50 frames with half a metre: 50,0.5"))
 }
 
@@ -109,8 +109,23 @@ fn fuse_files(arguments: &FuseArguments, terminal: &Terminal) -> anyhow::Result<
     if !arguments.overrides.set.is_empty() || arguments.overrides.device.is_some() {
         return Err(Error::Data("--set and --device change nothing about --odometry; leave them out".to_owned()).into());
     }
-    let constants = arguments.constant.iter().map(|text| parse_constant(text)).collect::<Result<BTreeMap<_, _>>>()?;
-    let odometry = arguments.odometry.iter().map(|text| read_odometry(text, &constants)).collect::<Result<Vec<_>>>()?;
+    let mut constants = BTreeMap::new();
+    for text in &arguments.constant {
+        let (name, covariance) = parse_constant(text)?;
+        if constants.insert(name.clone(), covariance).is_some() {
+            return Err(Error::Data(format!("--constant {name} is given twice")).into());
+        }
+    }
+    let read = arguments.odometry.iter().map(|text| read_odometry(text, &constants)).collect::<Result<Vec<_>>>()?;
+    let frames: Vec<&String> = read.iter().filter_map(|(_, frame)| frame.as_ref()).collect();
+    if let Some(other) = frames.iter().find(|frame| **frame != frames[0]) {
+        let problem = format!(
+            "the odometry is of different bodies: {} and {other}, as the first lines of the files say; `relcov predict --frame` writes all of them in one",
+            frames[0]
+        );
+        return Err(Error::Data(problem).into());
+    }
+    let odometry: Vec<Odometry> = read.into_iter().map(|(odometry, _)| odometry).collect();
     if let Some(name) = constants.keys().find(|name| odometry.iter().all(|system| system.system != **name)) {
         return Err(Error::Data(format!("--constant {name}: no --odometry {name}=FILE")).into());
     }
@@ -122,7 +137,7 @@ fn fuse_files(arguments: &FuseArguments, terminal: &Terminal) -> anyhow::Result<
         (Some(path), ..) => parse_fixes(&read_text(path)?, path)?,
         (None, Some((every, std_m)), Some(truth)) => {
             let reached = reached(truth, &odometry);
-            SimulatedFixes { every, std_m, seed: arguments.seed }.draw(&reached)
+            SimulatedFixes { every, std_m, seed: arguments.seed }.draw(&reached, 0)
         }
         (None, Some(_), None) => return Err(Error::Data("--simulate-fixes needs --truth".to_owned()).into()),
         (None, None, _) => Vec::new(),
@@ -130,7 +145,9 @@ fn fuse_files(arguments: &FuseArguments, terminal: &Terminal) -> anyhow::Result<
     let fused = fuse(&odometry, &fixes)?;
     let text = fused_trajectory(&fused);
     let scores = truth.map(|truth| {
-        TrajectoryScores::of(&fused, &truth).context("--truth knows none of the frames that the motions reach")
+        TrajectoryScores::of(&fused, &truth).context(
+            "--truth has nothing to judge by: it must know frames that motions reach, and without fixes the first of them and another",
+        )
     });
     let table = match scores.transpose()? {
         None => String::new(),
@@ -140,7 +157,7 @@ fn fuse_files(arguments: &FuseArguments, terminal: &Terminal) -> anyhow::Result<
         }
     };
     let Some(path) = &arguments.out else {
-        note(terminal.quiet, table.trim_end());
+        note(terminal.quiet || table.is_empty(), table.trim_end());
         return print_result(&text);
     };
     make_folder(path)?;
@@ -165,11 +182,13 @@ fn parse_constant(text: &str) -> Result<(String, Covariance6)> {
     Err(problem())
 }
 
-fn read_odometry(text: &str, constants: &BTreeMap<String, Covariance6>) -> Result<Odometry> {
+/// A system's motions, and the axes that the file says they are in.
+fn read_odometry(text: &str, constants: &BTreeMap<String, Covariance6>) -> Result<(Odometry, Option<String>)> {
     let (name, path) =
         text.split_once('=').ok_or_else(|| Error::Data(format!("--odometry {text}: expected NAME=FILE")))?;
     let path = Path::new(path);
-    let poses = parse_relative_poses(&read_text(path)?, path)?;
+    let text = read_text(path)?;
+    let poses = parse_relative_poses(&text, path)?;
     let constant = constants.get(name).copied();
     let motions = poses.iter().map(|pose| {
         let covariance = constant.or(pose.covariance).ok_or_else(|| {
@@ -182,7 +201,8 @@ fn read_odometry(text: &str, constants: &BTreeMap<String, Covariance6>) -> Resul
         })?;
         Ok((pose.source, pose.target, pose.source_from_target, covariance))
     });
-    Ok(Odometry { system: name.to_owned(), motions: motions.collect::<Result<_>>()? })
+    let odometry = Odometry { system: name.to_owned(), motions: motions.collect::<Result<_>>()? };
+    Ok((odometry, stated_frame(&text).map(str::to_owned)))
 }
 
 /// The true poses of frames that some motion reaches.
@@ -250,7 +270,7 @@ fn fuse_drives(arguments: &FuseArguments, terminal: &Terminal) -> anyhow::Result
     let drives: Vec<usize> = drives_of(&measured.dataset, &systems);
     let total = drives.len() * methods.len() * arguments.draws as usize;
     let mut progress = Progress::new(terminal.quiet, "fusing", 0, total);
-    let (mut scored, mut drawn, mut done) = (Vec::new(), Vec::new(), 0);
+    let (mut scored, mut drawn, mut trajectories, mut done) = (Vec::new(), Vec::new(), Vec::new(), 0);
     for drive in drives {
         let name = &measured.dataset.drives[drive].name;
         let truth = true_trajectory(&measured, drive)?;
@@ -260,14 +280,19 @@ fn fuse_drives(arguments: &FuseArguments, terminal: &Terminal) -> anyhow::Result
             let odometry = odometry_of(&measured, &systems, *method, drive)?;
             let truth = reached(&truth, &odometry);
             let mut scores = Vec::new();
-            for seed in arguments.seed..arguments.seed + arguments.draws {
-                let fixes = fixes_of(arguments, name, &truth, seed)?;
+            for draw_number in 0..arguments.draws {
+                let seed = arguments.seed.wrapping_add(draw_number);
+                let fixes = fixes_of(arguments, name, drive, &truth, seed)?;
                 let fused = fuse(&odometry, &fixes).with_context(|| format!("{name}, {}", method.name(RELCOV)))?;
-                scores.push(TrajectoryScores::of(&fused, &truth).with_context(|| format!("{name}: no true pose"))?);
-                if seed == arguments.seed {
-                    write_trajectory(arguments, name, *method, &fused, terminal)?;
-                    if is_drawn(*method) {
-                        draw.fused.push(DrawnTrajectory { label: method.name(RELCOV), poses: fused.poses });
+                let unjudged = || format!("{name}: the truth does not know the first frame and another");
+                scores.push(TrajectoryScores::of(&fused, &truth).with_context(unjudged)?);
+                if draw_number == 0 {
+                    if let Some(folder) = &arguments.out {
+                        let path = folder.join(format!("{name}_{}.tum", method.name(RELCOV)));
+                        trajectories.push((path, fused_trajectory(&fused)));
+                    }
+                    if let Some(placed) = fused.in_world_of(&truth).filter(|_| is_drawn(*method)) {
+                        draw.fused.push(DrawnTrajectory { label: method.name(RELCOV), poses: placed.poses });
                     }
                     (draw.truth, draw.fixes) = (truth.clone(), fixes.iter().map(|fix| fix.position).collect());
                 }
@@ -280,6 +305,12 @@ fn fuse_drives(arguments: &FuseArguments, terminal: &Terminal) -> anyhow::Result
         drawn.truncate(MOST_DRAWN);
     }
     drop(progress);
+    for (path, text) in &trajectories {
+        write_atomically(path, text.as_bytes())?;
+    }
+    if let Some(folder) = &arguments.out {
+        note(terminal.quiet, &format!("wrote {} trajectories into {}", trajectories.len(), folder.display()));
+    }
     print_result(&describe(arguments, &scored, &methods))?;
     if let Some(path) = &arguments.save_plot {
         let svg = draw_fusion(&drawn).map_err(|problem| anyhow::anyhow!("the picture cannot be drawn: {problem}"))?;
@@ -293,11 +324,16 @@ fn fuse_drives(arguments: &FuseArguments, terminal: &Terminal) -> anyhow::Result
 
 /// The measurements of a configuration with predictions: each system's by the first of the runs that learned it.
 fn predicted(arguments: &FuseArguments, split: SplitName, terminal: &Terminal) -> anyhow::Result<Measured> {
+    arguments.overrides.refuse_model_keys()?;
     let open = |path: &PathBuf| RunFolder::open(path).and_then(|run| Ok((run.manifest()?, run)));
     let runs = arguments.run.iter().map(open).collect::<Result<Vec<(Manifest, RunFolder)>>>()?;
     let learned = |manifest: &Manifest, name: &str| {
         manifest.systems.iter().any(|system| system.name == name && system.share > 0.0)
     };
+    if arguments.run.len() > 1 && arguments.config.is_none() {
+        let problem = "several --run need --config, which says the drives and systems that all of them are for";
+        return Err(Error::Data(problem.to_owned()).into());
+    }
     let serving = |name: &str| runs.iter().position(|(manifest, _)| learned(manifest, name)).unwrap_or(0);
     let mut measured: Option<Measured> = None;
     for (index, (manifest, run)) in runs.iter().enumerate() {
@@ -307,6 +343,10 @@ fn predicted(arguments: &FuseArguments, split: SplitName, terminal: &Terminal) -
         });
         if config.systems.is_empty() {
             continue;
+        }
+        for system in config.systems.iter().filter(|system| !learned(manifest, &system.name)) {
+            let (name, run) = (&system.name, run.path().display());
+            note(false, &format!("warning: no run learned `{name}`; {run} predicts it all the same"));
         }
         let predicted = predict_table(run, manifest, &config, split, Recalibrate::AsStored, terminal)?;
         let factors = predicted.recalibration.map(|recalibration| recalibration.factors);
@@ -410,13 +450,13 @@ fn odometry_of(measured: &Measured, systems: &[&SystemPairs], method: Method, dr
     Ok(odometry.collect())
 }
 
-fn fixes_of(arguments: &FuseArguments, drive: &str, truth: &Trajectory, seed: u64) -> Result<Vec<Fix>> {
+fn fixes_of(arguments: &FuseArguments, drive: &str, number: usize, truth: &Trajectory, seed: u64) -> Result<Vec<Fix>> {
     match (&arguments.fixes, arguments.simulate_fixes) {
         (Some(template), _) => {
             let path = PathBuf::from(template.display().to_string().replace("{drive}", drive));
             parse_fixes(&read_text(&path)?, &path)
         }
-        (None, Some((every, std_m))) => Ok(SimulatedFixes { every, std_m, seed }.draw(truth)),
+        (None, Some((every, std_m))) => Ok(SimulatedFixes { every, std_m, seed }.draw(truth, number)),
         (None, None) => Ok(Vec::new()),
     }
 }
@@ -424,20 +464,6 @@ fn fixes_of(arguments: &FuseArguments, drive: &str, truth: &Trajectory, seed: u6
 /// More lines than a reader can follow are left out.
 fn is_drawn(method: Method) -> bool {
     !matches!(method, Method::Uncalibrated | Method::ConstantMad | Method::OracleDiagonal)
-}
-
-fn write_trajectory(
-    arguments: &FuseArguments,
-    drive: &str,
-    method: Method,
-    fused: &FusedTrajectory,
-    terminal: &Terminal,
-) -> Result<()> {
-    let Some(folder) = &arguments.out else { return Ok(()) };
-    let path = folder.join(format!("{drive}_{}.tum", method.name(RELCOV)));
-    write_atomically(&path, fused_trajectory(fused).as_bytes())?;
-    note(terminal.quiet, &format!("wrote {}", path.display()));
-    Ok(())
 }
 
 fn describe(

@@ -92,6 +92,14 @@ impl Overrides {
         Ok(config)
     }
 
+    /// That they leave the shape of a trained model alone.
+    fn refuse_model_keys(&self) -> Result<(), Error> {
+        match self.set.iter().find(|key| key.trim_start().starts_with("model.")) {
+            Some(key) => Err(Error::config(key, "a trained model keeps its shape; train another run for another one")),
+            None => Ok(()),
+        }
+    }
+
     /// The configuration of data for a trained model: another one's, or that of its run. The data may be another
     /// configuration's; the model is the run's.
     ///

@@ -1,11 +1,11 @@
 //! `relcov predict`: covariances of new measurements.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::{self, BufRead, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::{ArgGroup, Args, ValueEnum};
-use serde_json::Value;
 
 use super::output::make_folder;
 use super::progress::{Progress, note};
@@ -19,7 +19,7 @@ use crate::depth::{DepthCache, DepthEstimator, Present, precompute};
 use crate::device::{device_name, open_device};
 use crate::error::{Error, Result};
 use crate::export::{ExportOptions, Format, G2oRotation, MeasuredMotions, Perturbation, TrajectoryCovariance};
-use crate::files::write_atomically;
+use crate::files::{require_no_folder, write_atomically};
 use crate::predict::{Model, Stream, StreamSettings};
 use crate::training::RunFolder;
 
@@ -57,6 +57,9 @@ pub struct PredictArguments {
     /// A pairs manifest (docs/own_data.md)
     #[arg(long, value_name = "FILE")]
     manifest: Option<PathBuf>,
+    /// With --manifest: vehicle axes into those of the camera [default: the run's, else the vehicle is where the camera is]
+    #[arg(long, value_name = "X,Y,Z,QX,QY,QZ,QW", value_parser = parse_pose, requires = "manifest", allow_hyphen_values = true)]
+    camera_from_vehicle: Option<PoseNumbers>,
     /// The data of another configuration
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -71,25 +74,25 @@ pub struct PredictArguments {
     system: Option<String>,
     /// Form of the output
     #[arg(long, value_enum, default_value = "jsonl", value_name = "FORM")]
-    format: FormatArgument,
+    format: Format,
     /// Write to a file instead of stdout; {system} and {drive} stand for their names
     #[arg(long, value_name = "FILE", conflicts_with = "stream")]
     out: Option<PathBuf>,
-    /// Axes of poses and covariances [default: the model's]
+    /// Axes of poses and covariances [default: camera for kitti, else the model's]
     #[arg(long, value_enum, value_name = "AXES")]
     frame: Option<FrameArgument>,
     /// Side of the covariances, where the format takes both [default: left]
     #[arg(long, value_enum, value_name = "SIDE")]
-    perturbation: Option<PerturbationArgument>,
+    perturbation: Option<Perturbation>,
     /// Least variance, m² and rad²: one number, or two: 1e-6,1e-8 [default: 1e-9 for ros, else none]
     #[arg(long, value_name = "VARIANCE", value_parser = parse_floor)]
     floor: Option<[f64; 2]>,
     /// For tum and kitti: which covariance stands beside the poses
     #[arg(long, value_enum, default_value = "relative", value_name = "WHICH", conflicts_with = "stream")]
-    covariance: TrajectoryCovarianceArgument,
+    covariance: TrajectoryCovariance,
     /// For g2o: information of half angles, as g2o takes it, or of angles, as the g2o readers of GTSAM and factrs do
     #[arg(long, value_enum, default_value = "half-angle", value_name = "RULE", conflicts_with = "stream")]
-    g2o_rotation: G2oRotationArgument,
+    g2o_rotation: G2oRotation,
     #[command(flatten)]
     overrides: Overrides,
 }
@@ -111,39 +114,6 @@ enum BodyArgument {
     Vehicle,
 }
 
-#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum FormatArgument {
-    Csv,
-    Jsonl,
-    Tum,
-    Kitti,
-    G2o,
-    Gtsam,
-    Ros,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum PerturbationArgument {
-    Left,
-    Right,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum TrajectoryCovarianceArgument {
-    /// Of the motion from the row before
-    Relative,
-    /// Of the pose in the first frame
-    Accumulated,
-    /// None: the plain format
-    None,
-}
-
-#[derive(Clone, Copy, ValueEnum)]
-enum G2oRotationArgument {
-    HalfAngle,
-    Angle,
-}
-
 fn parse_floor(text: &str) -> Result<[f64; 2], String> {
     let numbers: Option<Vec<f64>> = text.split(',').map(|word| word.trim().parse().ok()).collect();
     let problem = || format!("`{text}` is no variance; write one number, or two: 1e-6,1e-8");
@@ -154,39 +124,27 @@ fn parse_floor(text: &str) -> Result<[f64; 2], String> {
     }
 }
 
+/// `x y z qx qy qz qw`.
+type PoseNumbers = [f64; 7];
+
+fn parse_pose(text: &str) -> Result<PoseNumbers, String> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|word| word.trim().parse().ok()).collect();
+    let pose: Option<PoseNumbers> = numbers.and_then(|numbers| numbers.try_into().ok());
+    let unit = |[_, _, _, quaternion @ ..]: &PoseNumbers| {
+        (quaternion.iter().map(|value| value * value).sum::<f64>().sqrt() - 1.0).abs() < 1e-2
+    };
+    let usable = pose.filter(|pose| pose.iter().all(|value| value.abs() < 1e6) && unit(pose));
+    usable
+        .ok_or_else(|| format!("`{text}` is no pose; write x,y,z,qx,qy,qz,qw in metres with a quaternion of length 1"))
+}
+
 impl PredictArguments {
-    fn format(&self) -> Format {
-        match self.format {
-            FormatArgument::Csv => Format::Csv,
-            FormatArgument::Jsonl => Format::Jsonl,
-            FormatArgument::Tum => Format::Tum,
-            FormatArgument::Kitti => Format::Kitti,
-            FormatArgument::G2o => Format::G2o,
-            FormatArgument::Gtsam => Format::Gtsam,
-            FormatArgument::Ros => Format::Ros,
-        }
-    }
-
-    fn perturbation(&self) -> Option<Perturbation> {
-        self.perturbation.map(|side| match side {
-            PerturbationArgument::Left => Perturbation::Left,
-            PerturbationArgument::Right => Perturbation::Right,
-        })
-    }
-
     fn options(&self) -> ExportOptions {
         ExportOptions {
-            perturbation: self.perturbation(),
+            perturbation: self.perturbation,
             floor: self.floor,
-            trajectory: match self.covariance {
-                TrajectoryCovarianceArgument::Relative => TrajectoryCovariance::Relative,
-                TrajectoryCovarianceArgument::Accumulated => TrajectoryCovariance::Accumulated,
-                TrajectoryCovarianceArgument::None => TrajectoryCovariance::None,
-            },
-            g2o_rotation: match self.g2o_rotation {
-                G2oRotationArgument::HalfAngle => G2oRotation::HalfAngle,
-                G2oRotationArgument::Angle => G2oRotation::Angle,
-            },
+            trajectory: self.covariance,
+            g2o_rotation: self.g2o_rotation,
         }
     }
 
@@ -196,10 +154,8 @@ impl PredictArguments {
 }
 
 pub fn run(arguments: &PredictArguments, terminal: &Terminal) -> anyhow::Result<()> {
-    arguments.format().check(&arguments.options())?;
-    if let Some(key) = arguments.overrides.set.iter().find(|key| key.trim_start().starts_with("model.")) {
-        return Err(Error::config(key, "a trained model keeps its shape; train another run for another one").into());
-    }
+    arguments.format.check(&arguments.options())?;
+    arguments.overrides.refuse_model_keys()?;
     let run = RunFolder::open(&arguments.run)?;
     let manifest = run.manifest()?;
     let config = arguments.overrides.load_for_run(arguments.config.as_deref(), &run, &manifest)?;
@@ -222,11 +178,14 @@ pub fn run(arguments: &PredictArguments, terminal: &Terminal) -> anyhow::Result<
     make_depth_maps(&config, split, &device, terminal)?;
     let dataset = Dataset::load(&config, PairScope::Measured)?;
     let pairs = dataset.require(split)?;
-    let outputs: std::collections::BTreeSet<_> = pairs.pairs.iter().map(|pair| (pair.system, pair.id.drive)).collect();
-    let sink = Sink::new(arguments, outputs.len())?;
+    let owners: BTreeSet<(usize, usize)> = pairs.pairs.iter().map(|pair| (pair.system, pair.id.drive)).collect();
+    let names = |&(system, drive): &(usize, usize)| (&*dataset.systems[system], &*dataset.drives[drive].name);
+    let sink = Sink::new(arguments, owners.iter().map(names))?;
+    let frame = arguments.frame.map(FrameArgument::frame).or(arguments.format.usual_frame());
+    let frame = frame.unwrap_or(model.error_frame());
+    arguments.format.check_frame(frame)?;
     let mut progress = Progress::new(terminal.quiet, "predicting", 0, pairs.pairs.len());
     let begin = std::time::Instant::now();
-    let frame = arguments.frame.map_or(model.error_frame(), FrameArgument::frame);
     let predicted = model.predict_measurements(&config, &dataset, pairs, frame, &mut |done| {
         progress.set(done, &format!("pairs, {:.1} pairs/s", done as f64 / begin.elapsed().as_secs_f64()));
         Ok(())
@@ -237,8 +196,17 @@ pub fn run(arguments: &PredictArguments, terminal: &Terminal) -> anyhow::Result<
         return Err(Error::Data("not one pair could be read; the warnings above say why".to_owned()).into());
     }
     sink.write(&predicted, terminal)?;
-    let left_out = pairs.pairs.len() - count;
-    let left_out = if left_out > 0 { format!("; {left_out} could not be read") } else { String::new() };
+    let of_split = dataset.coverage.iter().filter(|coverage| coverage.split == split);
+    let measured: usize = of_split.flat_map(|coverage| &coverage.measured_pairs).sum();
+    let mut left_out = String::new();
+    for (pairs, why) in [
+        (pairs.pairs.len() - count, "could not be read"),
+        (measured.saturating_sub(pairs.pairs.len()), "have no images or no depth"),
+    ] {
+        if pairs > 0 {
+            left_out += &format!("; {pairs} {why}");
+        }
+    }
     let rate = count as f64 / begin.elapsed().as_secs_f64();
     note(terminal.quiet, &format!("{count} covariances, {rate:.1} a second{left_out}"));
     Ok(())
@@ -270,7 +238,7 @@ fn of_drive(arguments: &PredictArguments, config: Config, drive: &Path) -> anyho
     };
     let system = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     Ok(Config {
-        data: only_test(&config.data, root.to_owned(), None, vec![DriveConfig { drive: name, frames: None }]),
+        data: only_test(&config.data, root.to_owned(), None, None, vec![DriveConfig { drive: name, frames: None }]),
         truth: TruthConfig::Oxts,
         systems: vec![SystemConfig { name: system, share: 1.0, source }],
         ..config
@@ -284,7 +252,8 @@ fn of_manifest(arguments: &PredictArguments, config: Config, path: &Path) -> any
     let system =
         |name: &str| SystemConfig { name: name.to_owned(), share: 1.0, source: SystemSource::Manifest { frame } };
     let drives = manifest.sequences().map(|name| DriveConfig { drive: name.to_owned(), frames: None });
-    let data = only_test(&config.data, PathBuf::new(), Some(path.to_owned()), drives.collect());
+    let data =
+        only_test(&config.data, PathBuf::new(), Some(path.to_owned()), arguments.camera_from_vehicle, drives.collect());
     let depth = match &config.depth {
         _ if arguments.changes("depth.") => config.depth.clone(),
         _ if manifest.has_depth() => DepthConfig::Manifest {},
@@ -304,8 +273,14 @@ fn of_manifest(arguments: &PredictArguments, config: Config, path: &Path) -> any
 }
 
 /// The data of a configuration replaced by drives to predict for.
-fn only_test(data: &DataConfig, root: PathBuf, manifest: Option<PathBuf>, test: Vec<DriveConfig>) -> DataConfig {
-    let camera_from_vehicle = data.camera_from_vehicle.filter(|_| manifest.is_some());
+fn only_test(
+    data: &DataConfig,
+    root: PathBuf,
+    manifest: Option<PathBuf>,
+    camera_from_vehicle: Option<PoseNumbers>,
+    test: Vec<DriveConfig>,
+) -> DataConfig {
+    let camera_from_vehicle = camera_from_vehicle.or(data.camera_from_vehicle).filter(|_| manifest.is_some());
     DataConfig {
         root,
         manifest,
@@ -348,7 +323,7 @@ fn make_depth_maps(
     let without = Config { depth: DepthConfig::default(), ..config.clone() };
     let dataset = Dataset::load(&without, PairScope::Measured)?;
     let targets = dataset.require(split)?.pairs.iter().map(|pair| (pair.id.drive, pair.id.target));
-    let frames: Vec<_> = targets.collect::<std::collections::BTreeSet<_>>().into_iter().collect();
+    let frames: Vec<_> = targets.collect::<BTreeSet<_>>().into_iter().collect();
     let estimator = DepthEstimator::load(&network.weights, device)?;
     let mut progress: Option<Progress> = None;
     let bad = config.data.max_bad_fraction;
@@ -366,63 +341,73 @@ fn make_depth_maps(
 /// Where predictions go.
 struct Sink<'a> {
     arguments: &'a PredictArguments,
-    out: Option<&'a Path>,
 }
 
 impl<'a> Sink<'a> {
-    /// Finds out before the work whether so many trajectories can be written.
-    fn new(arguments: &'a PredictArguments, trajectories: usize) -> anyhow::Result<Self> {
-        let out = arguments.out.as_deref();
-        let template = out.map(|path| path.display().to_string()).unwrap_or_default();
-        let apart = template.contains("{drive}") || template.contains("{system}");
-        let format = arguments.format();
-        if trajectories > 1 && !apart && !format.is_labelled() {
+    /// Finds out before the work whether the trajectories of these systems and drives can be written.
+    fn new<'b>(
+        arguments: &'a PredictArguments,
+        trajectories: impl Iterator<Item = (&'b str, &'b str)>,
+    ) -> anyhow::Result<Self> {
+        let sink = Self { arguments };
+        let mut owners: BTreeMap<Option<PathBuf>, usize> = BTreeMap::new();
+        trajectories.for_each(|(system, drive)| *owners.entry(sink.path(system, drive)).or_default() += 1);
+        let format = arguments.format;
+        if let Some(several) = owners.values().find(|&&owners| owners > 1 && !format.is_labelled()) {
             return Err(Error::Data(format!(
-                "--format {} holds one system and one drive, and there are {trajectories} of them; give --out 'FOLDER/{{system}}/{{drive}}.{}', or take jsonl",
+                "--format {} holds one system and one drive, and there are {several} of them for one output; give --out 'FOLDER/{{system}}/{{drive}}.{}', choose with --system, or take jsonl",
                 format.name(),
                 if format == Format::Ros { "jsonl" } else { format.name() }
             ))
             .into());
         }
-        if let Some(path) = out.filter(|_| !apart) {
-            make_folder(path)?;
-        }
-        Ok(Self { arguments, out })
+        owners.keys().flatten().try_for_each(|path| require_no_folder(path))?;
+        // A folder that bears no name of the data can be made before the work.
+        let out = arguments.out.as_deref().filter(|out| out.parent().is_some_and(|folder| !is_template(folder)));
+        out.map_or(Ok(()), make_folder)?;
+        Ok(sink)
     }
 
     fn write(&self, predicted: &[MeasuredMotions], terminal: &Terminal) -> anyhow::Result<()> {
-        let (format, options) = (self.arguments.format(), self.arguments.options());
-        let rendered = predicted.iter().map(|measured| Ok((self.path(measured), format.render(measured, &options)?)));
-        let rendered = rendered.collect::<Result<Vec<(Option<PathBuf>, String)>>>()?;
-        for files in rendered.chunk_by(|a, b| a.0 == b.0) {
-            let text: String = files.iter().map(|(_, text)| text.as_str()).collect();
-            match &files[0].0 {
-                None => print_result(&text)?,
-                Some(path) => {
-                    make_folder(path)?;
-                    write_atomically(path, text.as_bytes())?;
-                    note(terminal.quiet, &format!("wrote {}", path.display()));
-                }
-            }
+        let (format, options) = (self.arguments.format, self.arguments.options());
+        let mut files: BTreeMap<Option<PathBuf>, String> = BTreeMap::new();
+        for measured in predicted {
+            let text = format.render(measured, &options)?;
+            *files.entry(self.path(&measured.system, &measured.drive)).or_default() += &text;
+        }
+        for (path, text) in files {
+            let Some(path) = path else {
+                print_result(&text)?;
+                continue;
+            };
+            make_folder(&path)?;
+            write_atomically(&path, text.as_bytes())?;
+            note(terminal.quiet, &format!("wrote {}", path.display()));
         }
         Ok(())
     }
 
-    fn path(&self, measured: &MeasuredMotions) -> Option<PathBuf> {
-        let template = self.out?.display().to_string();
-        Some(template.replace("{system}", &measured.system).replace("{drive}", &measured.drive).into())
+    /// Where one system's predictions on one drive go; `None`: to stdout.
+    fn path(&self, system: &str, drive: &str) -> Option<PathBuf> {
+        let template = self.arguments.out.as_ref()?.display().to_string();
+        Some(template.replace("{system}", system).replace("{drive}", drive).into())
     }
+}
+
+fn is_template(path: &Path) -> bool {
+    let text = path.to_string_lossy();
+    text.contains("{system}") || text.contains("{drive}")
 }
 
 /// Answers requests until stdin ends, or nobody listens any more.
 fn stream(arguments: &PredictArguments, config: &Config, model: &Model) -> anyhow::Result<()> {
-    if arguments.format != FormatArgument::Jsonl {
+    if arguments.format != Format::Jsonl {
         return Err(Error::Data("--stream answers in JSON lines; leave --format out".to_owned()).into());
     }
     let settings = StreamSettings {
         depth: Some(config.depth.clone()),
         frame: arguments.frame.map(FrameArgument::frame),
-        perturbation: arguments.perturbation(),
+        perturbation: arguments.perturbation,
         floor: arguments.floor,
     };
     let stream = Stream::new(model, &settings)?;
@@ -434,12 +419,12 @@ fn stream(arguments: &PredictArguments, config: &Config, model: &Model) -> anyho
             Request::Line if line.iter().all(u8::is_ascii_whitespace) => continue,
             Request::Line => match std::str::from_utf8(&line) {
                 Ok(text) => stream.answer(text),
-                Err(error) => Stream::refuse(Value::Null, &format!("not UTF-8: {error}")),
+                Err(error) => Stream::refuse(&format!("not UTF-8: {error}")),
             },
-            Request::TooLong => Stream::refuse(
-                Value::Null,
-                &format!("a line of more than {} MiB; send paths, or smaller images", LONGEST_REQUEST_BYTES >> 20),
-            ),
+            Request::TooLong => Stream::refuse(&format!(
+                "a line of more than {} MiB; send paths, or smaller images",
+                LONGEST_REQUEST_BYTES >> 20
+            )),
         };
         match writeln!(answers, "{answer}").and_then(|()| answers.flush()) {
             Err(error) if error.kind() == io::ErrorKind::BrokenPipe => return Ok(()),

@@ -6,6 +6,11 @@ use fast_image_resize::images::Image as ResizeImage;
 use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
 
 use crate::error::{Error, Place, Result};
+use crate::files::read_bytes;
+
+/// Largest width and height, px, and largest size of a decoded image: a small file can claim to hold far more.
+const MOST_PIXELS: u32 = 16_384;
+const MOST_BYTES: u64 = 256 << 20;
 
 /// An 8-bit RGB image, rows of `r g b`.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -57,7 +62,7 @@ impl RgbImage {
 /// # Errors
 /// The file cannot be read or decoded.
 pub fn read_image(path: &Path) -> Result<RgbImage> {
-    decode_image(&std::fs::read(path).map_err(Error::io("read", path))?, path)
+    decode_image(&read_bytes(path)?, path)
 }
 
 /// Decodes the content of a PNG or JPEG file; `origin` names it in errors.
@@ -65,7 +70,15 @@ pub fn read_image(path: &Path) -> Result<RgbImage> {
 /// # Errors
 /// It cannot be decoded.
 pub fn decode_image(bytes: &[u8], origin: &Path) -> Result<RgbImage> {
-    let image = image::load_from_memory(bytes)
+    let mut reader = image::ImageReader::new(std::io::Cursor::new(bytes));
+    let mut limits = image::Limits::default();
+    (limits.max_image_width, limits.max_image_height) = (Some(MOST_PIXELS), Some(MOST_PIXELS));
+    limits.max_alloc = Some(MOST_BYTES);
+    reader.limits(limits);
+    let image = reader
+        .with_guessed_format()
+        .map_err(Error::io("read", origin))?
+        .decode()
         .map_err(|error| Error::malformed(origin, Place::Whole, error.to_string(), "a complete PNG or JPEG image"))?
         .into_rgb8();
     Ok(RgbImage { width: image.width() as usize, height: image.height() as usize, bytes: image.into_raw() })

@@ -8,7 +8,7 @@ use image::{DynamicImage, ImageBuffer, ImageFormat, Luma};
 use super::DepthMap;
 use crate::data::Drive;
 use crate::error::{Error, Place, Result};
-use crate::files::write_atomically;
+use crate::files::{read_bytes, write_atomically};
 
 /// Steps of a metre in a depth PNG.
 const STEPS_PER_METRE: f32 = 256.0;
@@ -32,7 +32,7 @@ pub(super) fn depth_path(template: &str, drive: &Drive, frame: usize, root: &Pat
 /// # Errors
 /// The file cannot be read or decoded, or is not 16-bit grey.
 pub fn read_depth_png(path: &Path) -> Result<DepthMap> {
-    decode_depth_png(&std::fs::read(path).map_err(Error::io("read", path))?, path)
+    decode_depth_png(&read_bytes(path)?, path)
 }
 
 /// Decodes the content of a depth PNG; `origin` names it in errors.

@@ -34,11 +34,8 @@ enum Source {
 
 impl LiveDepth {
     /// What a configuration's source gives without files beside the image; `size` is width and height of the road's map,
-    /// px.
-    ///
-    /// # Errors
-    /// The weights of its depth network cannot be loaded.
-    pub fn new(config: &DepthConfig, size: [usize; 2], device: &Device) -> Result<Self> {
+    /// px. That its depth network cannot be loaded is said when depth is asked for.
+    pub fn new(config: &DepthConfig, size: [usize; 2], device: &Device) -> Self {
         let missing = |source: &str| {
             Source::Missing(format!(
                 "no depth was given, and depth.source = \"{source}\" has none for a single image; give one, or take ground_plane or a depth network with a known scale"
@@ -52,20 +49,22 @@ impl LiveDepth {
                 size,
                 last: Mutex::default(),
             },
-            DepthConfig::Monodepth2(network) => {
-                let estimator = Box::new(DepthEstimator::load(&network.weights, device)?);
-                match network.scale.unwrap_or(estimator.default_scale) {
-                    ScaleRule::Fixed(metres_a_unit) => Source::Network { estimator, metres_a_unit },
+            DepthConfig::Monodepth2(network) => match DepthEstimator::load(&network.weights, device) {
+                Err(error) => Source::Missing(format!("no depth was given, and there is no network for it: {error}")),
+                Ok(estimator) => match network.scale.unwrap_or(estimator.default_scale) {
+                    ScaleRule::Fixed(metres_a_unit) => {
+                        Source::Network { estimator: Box::new(estimator), metres_a_unit }
+                    }
                     ScaleRule::Mean | ScaleRule::Median => Source::Missing(
                         "no depth was given, and the depth network's scale is taken from LiDAR; give a depth, or a known factor: depth.scale.fixed".to_owned(),
                     ),
-                }
-            }
+                },
+            },
             DepthConfig::Lidar { .. } => missing("lidar"),
             DepthConfig::Files { .. } => missing("files"),
             DepthConfig::Manifest {} => missing("manifest"),
         };
-        Ok(Self { source })
+        Self { source }
     }
 
     /// Depth of an image, m; any size.

@@ -8,7 +8,7 @@ pub(super) fn render(measured: &MeasuredMotions, side: Option<Perturbation>, flo
     let stated = if side == Perturbation::Right { RIGHT } else { "perturbation left" };
     let mut text = format!(
         "# frame {}, {stated}, order x y z roll pitch yaw, m and rad\n{}",
-        measured.frame,
+        measured.frame.name(),
         relative_pose_header()
     );
     for motion in &measured.motions {

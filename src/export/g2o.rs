@@ -8,23 +8,18 @@ use nalgebra::{Matrix6, Vector6};
 use super::{G2oRotation, MeasuredMotions, Perturbation, join, pose_numbers};
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
+use crate::systems::{Trajectory, chain_poses};
 
 pub(super) fn render(measured: &MeasuredMotions, rotation: G2oRotation, floor: Option<[f64; 2]>) -> Result<String> {
     let MeasuredMotions { system, drive, motions, .. } = measured;
-    let (mut vertices, mut edges) = (String::new(), String::new());
-    let mut vertex = |frame: usize, pose: &Pose| {
-        vertices += &format!("VERTEX_SE3:QUAT {frame} {}\n", join(pose_numbers(pose), " "));
-    };
-    let (mut end, mut pose) = (None, Pose::identity());
+    let steps: Vec<(usize, usize, Pose)> =
+        motions.iter().map(|motion| (motion.source, motion.target, motion.source_from_target)).collect();
+    let poses: Trajectory = chain_poses(&steps).into_iter().flatten().collect();
+    let vertex =
+        |(frame, pose): (&usize, &Pose)| format!("VERTEX_SE3:QUAT {frame} {}\n", join(pose_numbers(pose), " "));
+    let vertices: String = poses.iter().map(vertex).collect();
+    let mut edges = String::new();
     for motion in motions {
-        if end != Some(motion.source) {
-            // A chain of its own after a gap.
-            pose = Pose::identity();
-            vertex(motion.source, &pose);
-        }
-        pose = pose * motion.source_from_target;
-        vertex(motion.target, &pose);
-        end = Some(motion.target);
         let covariance = motion.covariance_on(Perturbation::Right, floor);
         let information = covariance.information().ok_or_else(|| {
             Error::Data(format!(

@@ -65,7 +65,7 @@ pub(super) fn render(measured: &MeasuredMotions, side: Option<Perturbation>, flo
             target: motion.target,
             times: motion.times_s,
             pose: JsonPose::new(&motion.source_from_target),
-            covariance: JsonCovariance::new(&measured.frame, side, &motion.covariance_on(side, floor)),
+            covariance: JsonCovariance::new(measured.frame.name(), side, &motion.covariance_on(side, floor)),
         };
         serde_json::to_string(&line).expect("numbers and names are JSON") + "\n"
     };

@@ -22,10 +22,11 @@ mod jsonl;
 mod ros;
 mod trajectory;
 
+use clap::ValueEnum;
 use nalgebra::{Matrix6, UnitQuaternion};
 
 use crate::error::{Error, Result};
-use crate::geometry::{Covariance6, Pose, ROTATION, TRANSLATION};
+use crate::geometry::{Covariance6, ErrorFrame, Pose, ROTATION, TRANSLATION};
 
 pub use chain::Chain;
 pub(crate) use jsonl::JsonCovariance;
@@ -38,8 +39,8 @@ pub struct MeasuredMotions {
     pub system: String,
     /// Name of the drive.
     pub drive: String,
-    /// Name of the axes of poses and covariances.
-    pub frame: String,
+    /// Axes of poses and covariances. Those of the world turn with the vehicle, from motion to motion.
+    pub frame: ErrorFrame,
     /// The measurements, in the order of their frames.
     pub motions: Vec<MeasuredMotion>,
 }
@@ -60,30 +61,30 @@ pub struct MeasuredMotion {
 }
 
 /// Form of the output.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Format {
-    /// Relative poses as [`crate::systems::parse_relative_poses`] reads them.
+    /// Relative poses, as relcov itself reads them
     Csv,
-    /// JSON lines.
+    /// The same as JSON lines, with its names
     Jsonl,
-    /// TUM trajectory with covariances.
+    /// TUM trajectory with covariances
     Tum,
-    /// KITTI trajectory with covariances.
+    /// KITTI trajectory with covariances
     Kitti,
-    /// A pose graph for g2o.
+    /// A pose graph for g2o
     G2o,
-    /// Factors for GTSAM.
+    /// Factors for GTSAM
     Gtsam,
-    /// ROS messages.
+    /// ROS messages
     Ros,
 }
 
 /// The side on which an error stands.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Perturbation {
-    /// `T̂ = exp(e) T`, axes of the source frame (the paper's, and relcov's own).
+    /// `T̂ = exp(e) T`, axes of the source frame: the paper's, and relcov's own
     Left,
-    /// `T̂ = T exp(e)`, axes of the target frame. The same covariance holds for `e` and `−e`.
+    /// `T̂ = T exp(e)`, axes of the target frame
     Right,
 }
 
@@ -98,24 +99,24 @@ impl Perturbation {
 }
 
 /// Which covariance stands beside the poses of a trajectory.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum TrajectoryCovariance {
-    /// That of the motion from the row before.
+    /// That of the motion from the row before
     #[default]
     Relative,
-    /// That of the pose in the first frame, by all motions since.
+    /// That of the pose in the first frame, by all motions since
     Accumulated,
-    /// None: the plain format.
+    /// None: the plain format
     None,
 }
 
 /// How g2o files state the information of rotations.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum G2oRotation {
-    /// Of the quaternion's vector part, which is half the angle, as g2o itself takes it.
+    /// Of the quaternion's vector part, half the angle, as g2o itself takes it
     #[default]
     HalfAngle,
-    /// Of the angle, as the g2o readers of GTSAM and factrs take it.
+    /// Of the angle, as the g2o readers of GTSAM and factrs take it
     Angle,
 }
 
@@ -152,6 +153,26 @@ impl Format {
     /// Whether one file can hold several systems and drives, each line saying which it belongs to.
     pub fn is_labelled(self) -> bool {
         self == Self::Jsonl
+    }
+
+    /// The axes that readers of the format expect where none were asked for; `None`: those of the covariances.
+    pub fn usual_frame(self) -> Option<ErrorFrame> {
+        (self == Self::Kitti).then_some(ErrorFrame::Camera)
+    }
+
+    /// That motions in these axes can be told in this format.
+    ///
+    /// # Errors
+    /// It joins motions one to the next, and the axes turn between them.
+    pub fn check_frame(self, frame: ErrorFrame) -> Result<()> {
+        let joins = matches!(self, Self::Tum | Self::Kitti | Self::G2o | Self::Gtsam);
+        if !(joins && frame == ErrorFrame::World) {
+            return Ok(());
+        }
+        Err(Error::Data(format!(
+            "{} joins motions one to the next, and axes of the world turn with respect to the vehicle between them; take --frame vehicle or camera, or csv, jsonl or ros",
+            self.name()
+        )))
     }
 
     /// That the options mean something to this format.
@@ -193,6 +214,7 @@ impl Format {
     /// covariance has no inverse where the format needs one.
     pub fn render(self, measured: &MeasuredMotions, options: &ExportOptions) -> Result<String> {
         self.check(options)?;
+        self.check_frame(measured.frame)?;
         let floor = options.floor.or((self == Self::Ros).then_some(ROS_FLOOR));
         match self {
             Self::Csv => Ok(csv::render(measured, options.perturbation, floor)),
@@ -270,7 +292,7 @@ pub(crate) mod tests {
             motion(4, Tangent::new(1.1, 0.05, -0.02, 0.01, -0.02, 0.1)),
             motion(5, Tangent::new(1.0, -0.03, 0.02, -0.01, 0.02, -0.2)),
         ];
-        MeasuredMotions { system: "vo".to_owned(), drive: "drive".to_owned(), frame: "vehicle".to_owned(), motions }
+        MeasuredMotions { system: "vo".to_owned(), drive: "drive".to_owned(), frame: ErrorFrame::Vehicle, motions }
     }
 
     #[test]
@@ -286,6 +308,15 @@ pub(crate) mod tests {
         assert!(Format::G2o.check(&angle).is_ok() && Format::Csv.check(&angle).is_err());
         let bad = ExportOptions { floor: Some([f64::NAN, 0.0]), ..ExportOptions::default() };
         assert!(Format::Ros.check(&bad).is_err());
+    }
+
+    #[test]
+    fn motions_in_axes_that_turn_are_not_joined() {
+        let measured = MeasuredMotions { frame: ErrorFrame::World, ..measured() };
+        for (format, joins) in [(Format::Tum, true), (Format::G2o, true), (Format::Gtsam, true), (Format::Ros, false)] {
+            let rendered = format.render(&measured, &ExportOptions::default());
+            assert_eq!(rendered.is_err_and(|error| error.to_string().contains("axes of the world turn")), joins);
+        }
     }
 
     #[test]

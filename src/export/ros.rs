@@ -7,20 +7,20 @@ use nalgebra::Matrix6;
 use serde_json::json;
 
 use super::{MeasuredMotion, MeasuredMotions, pose_numbers, rows};
-use crate::geometry::{Covariance6, Pose, hat};
+use crate::geometry::{Pose, hat};
 
 pub(super) fn render(measured: &MeasuredMotions, floor: Option<[f64; 2]>) -> String {
     let message = |motion: &MeasuredMotion| {
         let [x, y, z, qx, qy, qz, qw] = pose_numbers(&motion.source_from_target);
         let seconds = motion.times_s.map_or(0.0, |[_, target]| target);
         let sec = seconds.floor();
-        let covariance = of_position(&motion.covariance, &motion.source_from_target);
+        let covariance = motion.covariance.mapped(&position_jacobian(&motion.source_from_target));
         let covariance = floor.map_or(covariance, |floor| covariance.with_floor(floor));
         let message = json!({
             "header": {
                 // A second has fewer than 1e9 nanoseconds, rounding included.
                 "stamp": { "sec": sec as i64, "nanosec": (((seconds - sec) * 1e9).round() as u32).min(999_999_999) },
-                "frame_id": measured.frame,
+                "frame_id": measured.frame.name(),
             },
             "pose": {
                 "pose": {
@@ -35,24 +35,23 @@ pub(super) fn render(measured: &MeasuredMotions, floor: Option<[f64; 2]>) -> Str
     measured.motions.iter().map(message).collect()
 }
 
-/// Covariance of position and fixed-axis rotation from that of the left perturbation.
-fn of_position(left: &Covariance6, pose: &Pose) -> Covariance6 {
+/// How position and fixed-axis rotation err with the left perturbation.
+fn position_jacobian(pose: &Pose) -> Matrix6<f64> {
     let mut jacobian = Matrix6::identity();
     jacobian.fixed_view_mut::<3, 3>(0, 3).copy_from(&-hat(&pose.translation));
-    left.mapped(&jacobian)
+    jacobian
 }
 
 #[cfg(test)]
 mod tests {
     use super::super::tests::measured;
     use super::*;
-    use crate::geometry::Tangent;
+    use crate::geometry::{Covariance6, Tangent};
 
     #[test]
     fn position_and_rotation_err_as_the_perturbation_moves_them() {
         let pose = measured().motions[0].source_from_target;
-        let mut jacobian = Matrix6::identity();
-        jacobian.fixed_view_mut::<3, 3>(0, 3).copy_from(&-hat(&pose.translation));
+        let jacobian = position_jacobian(&pose);
         for component in 0..6 {
             let mut e = Tangent::zeros();
             e[component] = 1e-5;

@@ -26,7 +26,7 @@ pub(super) fn render_tum(
         TrajectoryCovariance::Relative => format!("; covariance of the motion from the row before, {}", remark(side)),
         TrajectoryCovariance::Accumulated => format!("; covariance of the pose in the first frame, {}", remark(side)),
     };
-    let mut text = format!("# t x y z qx qy qz qw; first_from_frame, axes: {}{what}\n", measured.frame);
+    let mut text = format!("# t x y z qx qy qz qw; first_from_frame, axes: {}{what}\n", measured.frame.name());
     for (row, time) in times.iter().enumerate() {
         let pose = std::iter::once(*time).chain(pose_numbers(&chain.poses[row]));
         text += &join(pose.chain(covariance(measured, &chain, row, options, floor)), " ");

@@ -13,6 +13,9 @@ use crate::systems::{Trajectory, parse_frame_index, pose_from_quaternion};
 /// Standard deviation of the attitude that simulated fixes give once, for the first frame, rad.
 const FIRST_ATTITUDE_RAD: f64 = 0.02;
 
+/// Standard deviations that a fix can have, m and rad: their squares keep their digits beside one another.
+pub const DEVIATIONS: std::ops::RangeInclusive<f64> = 1e-9..=1e9;
+
 /// What is known of one frame's absolute pose.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fix {
@@ -38,9 +41,9 @@ pub struct SimulatedFixes {
 }
 
 impl SimulatedFixes {
-    /// Draws fixes for a drive.
-    pub fn draw(&self, truth: &Trajectory) -> Vec<Fix> {
-        let mut random = Random::new(self.seed, Purpose::Fixes, 0);
+    /// Draws fixes for a drive; `number` tells it from others, which get other errors.
+    pub fn draw(&self, truth: &Trajectory, number: usize) -> Vec<Fix> {
+        let mut random = Random::new(self.seed, Purpose::Fixes, number as u64);
         let mut noise = |std: f64| Vector3::from_fn(|_, _| std * random.normal());
         let mut fixes = Vec::new();
         for (&frame, pose) in truth.iter().step_by(self.every) {
@@ -63,7 +66,7 @@ impl SimulatedFixes {
 /// length, or a frame that stands there twice; the message names the line.
 pub fn parse_fixes(text: &str, path: &Path) -> Result<Vec<Fix>> {
     let mut fixes: Vec<Fix> = Vec::new();
-    for (index, line) in text.lines().enumerate() {
+    for (index, line) in text.trim_start_matches('\u{feff}').lines().enumerate() {
         let line = line.trim();
         if line.is_empty() || line.starts_with('#') || (fixes.is_empty() && line.starts_with("frame")) {
             continue;
@@ -86,13 +89,16 @@ pub fn parse_fixes(text: &str, path: &Path) -> Result<Vec<Fix>> {
         let frame = parse_frame_index(position[0], path, &place)?;
         let position_std_m = Vector3::from_column_slice(&position[4..7]);
         let deviations = position_std_m.iter().chain(attitude.iter().flat_map(|(_, std)| std.iter()));
-        if let Some(std) = deviations.into_iter().find(|std| **std <= 0.0) {
-            return Err(malformed(format!("a standard deviation of {std}"), "one above zero"));
+        if let Some(std) = deviations.into_iter().find(|std| !DEVIATIONS.contains(*std)) {
+            return Err(malformed(format!("a standard deviation of {std}"), "one from 1e-9 to 1e9"));
         }
         if fixes.iter().any(|fix| fix.frame == frame) {
             return Err(malformed(format!("frame {frame} again"), "each frame once"));
         }
         fixes.push(Fix { frame, position: Vector3::from_column_slice(&position[1..4]), position_std_m, attitude });
+    }
+    if fixes.is_empty() {
+        return Err(Error::malformed(path, Place::Whole, "no fix", "a row for each: frame,x,y,z,std_x,std_y,std_z"));
     }
     Ok(fixes)
 }
@@ -135,7 +141,7 @@ mod tests {
     fn simulated_fixes_scatter_as_they_say() {
         let truth: Trajectory =
             (0..4000).map(|frame| (frame, Pose::exp(&Tangent::new(frame as f64, 0.0, 0.0, 0.0, 0.0, 0.0)))).collect();
-        let fixes = SimulatedFixes { every: 2, std_m: 0.5, seed: 3 }.draw(&truth);
+        let fixes = SimulatedFixes { every: 2, std_m: 0.5, seed: 3 }.draw(&truth, 0);
         assert_eq!((fixes.len(), fixes[1].frame), (2000, 2));
         assert!(fixes[0].attitude.is_some() && fixes[1].attitude.is_none());
         let square: f64 =

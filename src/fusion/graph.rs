@@ -1,9 +1,9 @@
 //! The pose graph: relative poses between frames, fixes of single frames, solved by factrs.
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::BTreeMap;
 
 use factrs::core::{
-    BetweenResidual, GaussNewton, GaussianNoise, Graph, LevenMarquardt, PriorResidual, SE3, SO3, Values,
+    BetweenResidual, Factor, GaussNewton, GaussianNoise, Graph, LevenMarquardt, PriorResidual, SE3, SO3, Values,
 };
 use factrs::linalg::{Const, DiffResult, ForwardProp, Matrix6 as Matrix6f, Numeric, Vector3 as Vector3f, VectorX};
 use factrs::linear::LinearSolver;
@@ -20,6 +20,7 @@ use nalgebra::{Matrix3, Matrix6, Quaternion, UnitQuaternion, Vector3};
 use super::fixes::{Fix, anchor};
 use crate::error::{Error, Result};
 use crate::geometry::{Covariance6, Pose, ROTATION, TRANSLATION};
+use crate::systems::{Trajectory, chain_poses};
 
 assign_symbols!(X: SE3);
 
@@ -44,11 +45,25 @@ pub struct Odometry {
 #[derive(Clone, Debug)]
 pub struct FusedTrajectory {
     /// `world_from_body` of each frame.
-    pub poses: BTreeMap<usize, Pose>,
+    pub poses: Trajectory,
     /// Marginal covariance of each: right perturbation, order ρ then φ, axes of the body, m² and rad².
     pub covariances: BTreeMap<usize, Covariance6>,
     /// Whether it was placed by fixes; else its first frame is the world.
     pub placed: bool,
+}
+
+impl FusedTrajectory {
+    /// The trajectory in the truth's world: as it is where fixes placed it, else laid onto the truth by its first frame.
+    /// Covariances stay, for they are those of the right perturbation. `None` where the truth does not know that frame.
+    pub fn in_world_of(&self, truth: &Trajectory) -> Option<Self> {
+        if self.placed {
+            return Some(self.clone());
+        }
+        let (first, pose) = self.poses.first_key_value()?;
+        let world_from_fused = *truth.get(first)? * pose.inverse();
+        let poses = self.poses.iter().map(|(&frame, pose)| (frame, world_from_fused * *pose)).collect();
+        Some(Self { poses, ..self.clone() })
+    }
 }
 
 /// `t − p`: a measured position.
@@ -76,54 +91,33 @@ impl Residual1 for PositionResidual {
 /// There is no motion; a covariance is not positive definite; frames hang together by no motion; the fixes do not place
 /// the trajectory in the world, or one is of a frame that no motion reaches; or the solver does not converge.
 pub fn fuse(odometry: &[Odometry], fixes: &[Fix]) -> Result<FusedTrajectory> {
-    let frames = frames_of(odometry)?;
-    let number: BTreeMap<usize, u32> = frames.iter().enumerate().map(|(index, &frame)| (frame, index as u32)).collect();
+    let local = chain(odometry)?;
+    let number: BTreeMap<usize, u32> = local.keys().enumerate().map(|(index, &frame)| (frame, index as u32)).collect();
     if let Some(fix) = fixes.iter().find(|fix| !number.contains_key(&fix.frame)) {
         return Err(Error::Data(format!("a fix of frame {}: no motion reaches that frame", fix.frame)));
     }
-    let local = chain(odometry, &frames)?;
     // Far from the origin, metres lose their digits: the graph's world begins at its first fix.
     let origin = fixes.first().map_or(Vector3::zeros(), |fix| fix.position);
-    let moved: Vec<Fix> = fixes.iter().map(|fix| Fix { position: fix.position - origin, ..fix.clone() }).collect();
-    let anchors = if moved.is_empty() { vec![anchor(frames[0], &Pose::identity())] } else { moved };
+    let anchors: Vec<Fix> = match local.keys().next() {
+        Some(&first) if fixes.is_empty() => vec![anchor(first, &Pose::identity())],
+        _ => fixes.iter().map(|fix| Fix { position: fix.position - origin, ..fix.clone() }).collect(),
+    };
     let world_from_local = place(&local, &anchors)?;
 
     let mut graph = Graph::new();
     for Odometry { system, motions } in odometry {
         for (source, target, pose, covariance) in motions {
-            let information = covariance.right_of(pose).information().ok_or_else(|| {
+            let noise = covariance.right_of(pose).information().as_ref().and_then(gaussian).ok_or_else(|| {
                 Error::Data(format!(
-                    "{system}, frames {source} and {target}: the covariance is not positive definite; every direction needs a variance"
+                    "{system}, frames {source} and {target}: the covariance cannot be inverted; every direction needs a variance, and none far from the others"
                 ))
             })?;
-            let noise = gaussian(&information);
-            graph.add_factor(fac![
-                BetweenResidual::new(to_factrs(pose)),
-                (X(number[source]), X(number[target])),
-                noise
-            ]);
+            let between = BetweenResidual::new(to_factrs(pose));
+            graph.add_factor(fac![between, (X(number[source]), X(number[target])), noise]);
         }
     }
     for fix in &anchors {
-        let key = X(number[&fix.frame]);
-        match &fix.attitude {
-            None => {
-                let deviations = fix.position_std_m;
-                let noise = GaussianNoise::<3>::from_diag_sigmas(deviations.x, deviations.y, deviations.z);
-                graph.add_factor(fac![PositionResidual { position: fix.position.into() }, key, noise]);
-            }
-            Some((rotation, deviations)) => {
-                // In axes of the body, as a right perturbation has it.
-                let position = rotation.inverse() * Matrix3::from_diagonal(&fix.position_std_m.map(|std| std.powi(-2)));
-                let mut information = Matrix6::zeros();
-                information.fixed_view_mut::<3, 3>(0, 0).copy_from(&(position * rotation.matrix()));
-                let about = Matrix3::from_diagonal(&deviations.map(|std| std.powi(-2)));
-                information.fixed_view_mut::<3, 3>(3, 3).copy_from(&about);
-                let prior = PriorResidual::new(to_factrs(&Pose::new(*rotation, fix.position)));
-                let noise = gaussian(&(0.5 * (information + information.transpose())));
-                graph.add_factor(fac![prior, key, noise]);
-            }
-        }
+        graph.add_factor(fix_factor(fix, number[&fix.frame])?);
     }
     let mut values = Values::new();
     for (&frame, &index) in &number {
@@ -136,6 +130,26 @@ pub fn fuse(odometry: &[Odometry], fixes: &[Fix]) -> Result<FusedTrajectory> {
         (frame, Pose::new(pose.rotation, pose.translation + origin))
     });
     Ok(FusedTrajectory { poses: poses.collect(), covariances, placed: !fixes.is_empty() })
+}
+
+/// What a fix says of the pose with this number.
+fn fix_factor(fix: &Fix, number: u32) -> Result<Factor> {
+    let Some((rotation, deviations)) = &fix.attitude else {
+        let std = fix.position_std_m;
+        let noise = GaussianNoise::<3>::from_diag_sigmas(std.x, std.y, std.z);
+        return Ok(fac![PositionResidual { position: fix.position.into() }, X(number), noise]);
+    };
+    // In axes of the body, as a right perturbation has it.
+    let position = rotation.inverse() * Matrix3::from_diagonal(&fix.position_std_m.map(|std| std.powi(-2)));
+    let mut information = Matrix6::zeros();
+    information.fixed_view_mut::<3, 3>(0, 0).copy_from(&(position * rotation.matrix()));
+    let about = Matrix3::from_diagonal(&deviations.map(|std| std.powi(-2)));
+    information.fixed_view_mut::<3, 3>(3, 3).copy_from(&about);
+    let noise = gaussian(&(0.5 * (information + information.transpose()))).ok_or_else(|| {
+        Error::Data(format!("the fix of frame {}: its standard deviations differ too much in size", fix.frame))
+    })?;
+    let prior = PriorResidual::new(to_factrs(&Pose::new(*rotation, fix.position)));
+    Ok(fac![prior, X(number), noise])
 }
 
 /// The most likely poses: by Levenberg and Marquardt's method, and where it finds no step, because the poses are as good as
@@ -191,45 +205,24 @@ impl LinearSolver for Cholesky {
     }
 }
 
-/// All frames that some motion reaches.
-fn frames_of(odometry: &[Odometry]) -> Result<Vec<usize>> {
-    let ends = odometry.iter().flat_map(|system| &system.motions).flat_map(|&(source, target, ..)| [source, target]);
-    let frames: BTreeSet<usize> = ends.collect();
-    match frames.is_empty() {
-        true => Err(Error::Data("no system has a motion: there is nothing to fuse".to_owned())),
-        false => Ok(frames.into_iter().collect()),
-    }
-}
-
-/// Poses of all frames in the first, along the motions of the systems named first.
-fn chain(odometry: &[Odometry], frames: &[usize]) -> Result<BTreeMap<usize, Pose>> {
-    let mut neighbours: BTreeMap<usize, Vec<(usize, Pose)>> = BTreeMap::new();
-    for &(source, target, pose, _) in odometry.iter().flat_map(|system| &system.motions) {
-        neighbours.entry(source).or_default().push((target, pose));
-        neighbours.entry(target).or_default().push((source, pose.inverse()));
-    }
-    let mut poses = BTreeMap::from([(frames[0], Pose::identity())]);
-    let mut reached = VecDeque::from([frames[0]]);
-    while let Some(frame) = reached.pop_front() {
-        let here = poses[&frame];
-        for (next, motion) in &neighbours[&frame] {
-            if !poses.contains_key(next) {
-                poses.insert(*next, here * *motion);
-                reached.push_back(*next);
-            }
-        }
-    }
-    match frames.iter().find(|frame| !poses.contains_key(frame)) {
-        None => Ok(poses),
-        Some(frame) => Err(Error::Data(format!(
-            "frames {} and {frame} hang together by no motion; fuse the parts one by one, or add a system that bridges the gap",
-            frames[0]
+/// Poses of all frames in the first.
+fn chain(odometry: &[Odometry]) -> Result<Trajectory> {
+    let motions = odometry.iter().flat_map(|system| &system.motions);
+    let motions: Vec<(usize, usize, Pose)> = motions.map(|&(source, target, pose, _)| (source, target, pose)).collect();
+    let mut parts = chain_poses(&motions);
+    match parts.as_slice() {
+        [] => Err(Error::Data("no system has a motion: there is nothing to fuse".to_owned())),
+        [_] => Ok(parts.swap_remove(0)),
+        [first, second, ..] => Err(Error::Data(format!(
+            "frames {} and {} hang together by no motion; fuse the parts one by one, or add a system that bridges the gap",
+            first.keys().next().expect("a part has a frame"),
+            second.keys().next().expect("a part has a frame")
         ))),
     }
 }
 
 /// Where the chained trajectory begins in the world: by the first attitude, else by fitting positions to positions.
-fn place(local: &BTreeMap<usize, Pose>, fixes: &[Fix]) -> Result<Pose> {
+fn place(local: &Trajectory, fixes: &[Fix]) -> Result<Pose> {
     if let Some((fix, rotation)) = fixes.iter().find_map(|fix| Some((fix, fix.attitude.as_ref()?.0))) {
         return Ok(Pose::new(rotation, fix.position) * local[&fix.frame].inverse());
     }
@@ -289,10 +282,11 @@ fn marginals(graph: &Graph, values: &Values, number: &BTreeMap<usize, u32>) -> R
 }
 
 /// Noise of an information matrix, ρ then φ here and φ then ρ there.
-fn gaussian(information: &Matrix6<f64>) -> GaussianNoise<6> {
+fn gaussian(information: &Matrix6<f64>) -> Option<GaussianNoise<6>> {
     let order: Vec<usize> = ROTATION.chain(TRANSLATION).collect();
     let theirs = Matrix6f::from_fn(|row, column| information[(order[row], order[column])]);
-    GaussianNoise::from_matrix_inf(theirs.as_view()).expect("the inverse of a positive definite matrix")
+    let finite = information.iter().all(|value| value.is_finite());
+    finite.then(|| GaussianNoise::from_matrix_inf(theirs.as_view())).flatten()
 }
 
 fn to_factrs(pose: &Pose) -> SE3 {
@@ -398,7 +392,7 @@ mod tests {
         for (odometry, fixes, word) in [
             (vec![], vec![], "nothing to fuse"),
             (vec![broken], vec![], "frames 0 and 3"),
-            (vec![flat], vec![], "not positive definite"),
+            (vec![flat], vec![], "cannot be inverted"),
             (vec![whole.clone()], vec![outside], "frame 99"),
             (vec![whole], two, "2 positions"),
         ] {

@@ -13,6 +13,6 @@ mod fixes;
 mod graph;
 mod scores;
 
-pub use fixes::{Fix, SimulatedFixes, parse_fixes};
+pub use fixes::{DEVIATIONS, Fix, SimulatedFixes, parse_fixes};
 pub use graph::{FusedTrajectory, Odometry, fuse};
 pub use scores::TrajectoryScores;

@@ -2,7 +2,7 @@
 
 use super::FusedTrajectory;
 use crate::evaluation::CHI_SQUARED_6_95;
-use crate::geometry::{Pose, ROTATION, TRANSLATION, Tangent};
+use crate::geometry::{ROTATION, TRANSLATION, Tangent};
 use crate::systems::Trajectory;
 
 /// Scores of a trajectory against the truth; no alignment, for both are in one world.
@@ -25,33 +25,28 @@ pub struct TrajectoryScores {
 }
 
 impl TrajectoryScores {
-    /// Scores over the frames that both know; `None` without any. A trajectory that was not placed is laid onto the
-    /// truth by its first frame, which is then not judged.
+    /// Scores over the frames that both know. A trajectory that was not placed is laid onto the truth by its first frame,
+    /// which is then judged as the begin of the first step alone. `None` where nothing is left to judge, or the truth
+    /// does not know that first frame.
     pub fn of(fused: &FusedTrajectory, truth: &Trajectory) -> Option<Self> {
-        let common = |frame: &usize| truth.contains_key(frame);
-        let first = *fused.poses.keys().find(|frame| common(frame))?;
-        let world_from_fused = match fused.placed {
-            true => Pose::identity(),
-            false => truth[&first] * fused.poses[&first].inverse(),
-        };
-        let judged: Vec<usize> =
-            fused.poses.keys().copied().filter(|frame| common(frame) && (fused.placed || *frame != first)).collect();
-        let error = |frame: &usize| ((world_from_fused * fused.poses[frame]).inverse() * truth[frame]).log();
+        let placed = fused.in_world_of(truth)?;
+        let common: Vec<usize> = placed.poses.keys().copied().filter(|frame| truth.contains_key(frame)).collect();
+        let judged = if fused.placed { common.as_slice() } else { common.get(1..)? };
+        let error = |frame: &usize| (placed.poses[frame].inverse() * truth[frame]).log();
         let errors: Vec<Tangent> = judged.iter().map(error).collect();
         let normalised: Vec<f64> = judged
             .iter()
             .zip(&errors)
             .filter_map(|(frame, error)| Some(fused.covariances[frame].mahalanobis(error)?.0))
             .collect();
-        let steps: Vec<Tangent> = judged
+        let steps: Vec<Tangent> = common
             .windows(2)
             .map(|pair| {
                 let step = |poses: &Trajectory| poses[&pair[0]].inverse() * poses[&pair[1]];
                 (step(&fused.poses).inverse() * step(truth)).log()
             })
             .collect();
-        let distance =
-            |frame: &usize| ((world_from_fused * fused.poses[frame]).translation - truth[frame].translation).norm();
+        let distance = |frame: &usize| (placed.poses[frame].translation - truth[frame].translation).norm();
         let [_, ate_rad] = root_mean_squares(&errors);
         let [rpe_m, rpe_rad] = root_mean_squares(&steps);
         let count = judged.len();
@@ -85,11 +80,11 @@ impl TrajectoryScores {
     }
 }
 
-/// Of the translations and of the rotations.
+/// Of the translations and of the rotations; NaN without any.
 fn root_mean_squares(tangents: &[Tangent]) -> [f64; 2] {
     [TRANSLATION, ROTATION].map(|range| {
         let sum: f64 = tangents.iter().map(|e| e.fixed_rows::<3>(range.start).norm_squared()).sum();
-        (sum / tangents.len().max(1) as f64).sqrt()
+        (sum / tangents.len() as f64).sqrt()
     })
 }
 
@@ -98,7 +93,7 @@ mod tests {
     use std::collections::BTreeMap;
 
     use super::*;
-    use crate::geometry::Covariance6;
+    use crate::geometry::{Covariance6, Pose};
 
     #[test]
     fn scores_are_those_of_a_known_error() {

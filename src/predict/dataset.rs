@@ -52,7 +52,7 @@ impl Model {
         let named = |((system, drive), motions): ((usize, usize), Vec<MeasuredMotion>)| MeasuredMotions {
             system: dataset.systems[system].clone(),
             drive: dataset.drives[drive].name.clone(),
-            frame: output.name().to_owned(),
+            frame: output,
             motions,
         };
         Ok(groups.into_iter().map(named).collect())

@@ -2,6 +2,7 @@
 //! out ([`Stream`]); all measurements of a data set ([`Model::predict_measurements`]).
 
 mod dataset;
+mod request;
 mod stream;
 
 use std::path::Path;
@@ -19,6 +20,9 @@ use crate::model::{Architecture, CovarianceModel, ImagePair};
 use crate::training::RunFolder;
 
 pub use stream::{Stream, StreamSettings};
+
+/// Larger focal lengths, px, and motions between two images, m, are mistakes.
+const LARGEST: f64 = 1e6;
 
 /// A model ready to predict.
 ///
@@ -147,18 +151,12 @@ impl Model {
 
     /// Depth for images that come without, from the source the model was trained with: a flat road, or a depth network
     /// whose scale is known. Other sources have none for a single image, which [`LiveDepth::estimate`] says.
-    ///
-    /// # Errors
-    /// The weights of the depth network cannot be loaded.
-    pub fn live_depth(&self) -> Result<LiveDepth> {
+    pub fn live_depth(&self) -> LiveDepth {
         self.live_depth_of(&self.depth)
     }
 
     /// The same from another source.
-    ///
-    /// # Errors
-    /// As [`Model::live_depth`].
-    pub fn live_depth_of(&self, config: &DepthConfig) -> Result<LiveDepth> {
+    pub fn live_depth_of(&self, config: &DepthConfig) -> LiveDepth {
         LiveDepth::new(config, [self.architecture.width, self.architecture.height], &self.device)
     }
 
@@ -224,10 +222,11 @@ impl Model {
             ));
         }
         let intrinsics = [camera.fx, camera.fy, camera.cx, camera.cy];
-        let usable = intrinsics.iter().all(|value| value.is_finite()) && camera.fx > 0.0 && camera.fy > 0.0;
-        if !usable || !source_from_target.is_finite() {
+        let seen = intrinsics.iter().all(|value| value.abs() <= LARGEST) && camera.fx > 0.0 && camera.fy > 0.0;
+        let moved = source_from_target.is_finite() && source_from_target.translation.norm() <= LARGEST;
+        if !(seen && moved) {
             return Err(Error::Data(
-                "the measurement's intrinsics and pose must be finite and its focal lengths positive".to_owned(),
+                "the measurement's intrinsics (px) and pose (m) must be finite, none above a million, and its focal lengths positive".to_owned(),
             ));
         }
         let (width, height) = (self.architecture.width, self.architecture.height);

@@ -34,7 +34,8 @@ pub fn fusion_table(rows: &[FusionRow], format: TableFormat) -> String {
         let scores = numbers(&row.scores).into_iter().enumerate().map(|(score, value)| {
             let digits = if score == 1 || score == 3 { 5 } else { 4 };
             let best = score < 4 && row.best && competitors > 1 && value == least(&row.drive, score);
-            Cell { text: format!("{value:.digits$}"), value: Some(value), best }
+            let known = value.is_finite().then_some(value);
+            Cell { text: known.map_or(String::new(), |value| format!("{value:.digits$}")), value: known, best }
         });
         [Cell::name(&row.drive), Cell::name(&row.method)].into_iter().chain(scores).collect()
     };

@@ -3,13 +3,13 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::relative::parse_relative_poses;
+use super::relative::{parse_relative_poses, stated_frame};
 use super::sequences::odometry_sequence;
 use super::trajectory::{Trajectory, parse_kitti_trajectory, parse_tum_trajectory};
 use super::truth::{Truth, consecutive};
 use crate::config::{MeasurementFrame, SystemConfig, SystemSource, TrajectoryConfig, TrajectoryFormat};
 use crate::data::Drive;
-use crate::error::{Error, Result};
+use crate::error::{Error, Place, Result};
 use crate::files::read_text;
 use crate::geometry::{Covariance6, Pose};
 
@@ -64,7 +64,9 @@ pub fn load_measurements(system: &SystemConfig, drive: &Drive, root: &Path, trut
             if !path.exists() {
                 return Ok(missing(config.frame, path));
             }
-            let poses = parse_relative_poses(&read_text(&path)?, &path)?;
+            let text = read_text(&path)?;
+            require_frame(&text, config.frame, &path)?;
+            let poses = parse_relative_poses(&text, &path)?;
             let covariances = poses.iter().filter_map(|pose| Some(((pose.source, pose.target), pose.covariance?)));
             Measurements {
                 covariances: covariances.collect(),
@@ -75,6 +77,26 @@ pub fn load_measurements(system: &SystemConfig, drive: &Drive, root: &Path, trut
             }
         }
     })
+}
+
+/// That a file which states its axes is read in them.
+fn require_frame(text: &str, frame: MeasurementFrame, path: &Path) -> Result<()> {
+    let expected = match frame {
+        MeasurementFrame::Camera0 => "camera0",
+        MeasurementFrame::Camera2 => "camera",
+        MeasurementFrame::Vehicle => "vehicle",
+    };
+    match stated_frame(text).filter(|stated| *stated != expected) {
+        None => Ok(()),
+        Some(stated) => Err(Error::malformed(
+            path,
+            Place::Line(1),
+            format!("motions in axes `{stated}`"),
+            format!(
+                "those of `{expected}`, as the configuration or --measurement-frame says; set frame to `vehicle`, or `camera2` for `camera`"
+            ),
+        )),
+    }
 }
 
 pub(super) fn load_trajectory(config: &TrajectoryConfig, drive: &Drive, root: &Path) -> Result<Option<Trajectory>> {

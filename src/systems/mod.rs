@@ -4,6 +4,7 @@
 //! drive and system the measured `source_from_target` of frame pairs, with the body they describe.
 //! Leaves pairing with images and truth to `data`.
 
+mod chain;
 mod measurements;
 mod mixing;
 mod relative;
@@ -11,9 +12,10 @@ mod sequences;
 mod trajectory;
 mod truth;
 
+pub use chain::chain_poses;
 pub use measurements::{Measurements, load_measurements};
 pub use mixing::{BatchPlan, Mixer};
-pub(crate) use relative::RIGHT;
+pub(crate) use relative::{RIGHT, stated_frame};
 pub use relative::{RelativePose, format_relative_pose, parse_relative_poses, relative_pose_header};
 pub use sequences::{OdometrySequence, odometry_sequence};
 pub use trajectory::{Trajectory, parse_kitti_trajectory, parse_tum_trajectory};

@@ -27,8 +27,17 @@ pub struct RelativePose {
     pub covariance: Option<Covariance6>,
 }
 
+/// What some editors put before the first character of a file.
+const BYTE_ORDER_MARK: char = '\u{feff}';
+
 /// What a remark says where covariances are those of the right perturbation.
 pub(crate) const RIGHT: &str = "perturbation right";
+
+/// The axes that a remark of a CSV of relative poses states: `# frame vehicle, …`.
+pub(crate) fn stated_frame(text: &str) -> Option<&str> {
+    let remarks = text.trim_start_matches(BYTE_ORDER_MARK).lines().take_while(|line| line.starts_with('#'));
+    remarks.filter_map(|line| line.split_once("frame ")?.1.split([',', ' ']).next()).next()
+}
 
 /// Parses a CSV of relative poses. Lines that begin with `#` are remarks, and the first other line may be a header that
 /// begins with `source`. Covariances are those of the left perturbation, unless a remark says `perturbation right`.
@@ -39,7 +48,7 @@ pub(crate) const RIGHT: &str = "perturbation right";
 pub fn parse_relative_poses(text: &str, path: &Path) -> Result<Vec<RelativePose>> {
     let mut poses: Vec<RelativePose> = Vec::new();
     let (mut right, mut header_may_come) = (false, true);
-    for (index, line) in text.lines().enumerate() {
+    for (index, line) in text.trim_start_matches(BYTE_ORDER_MARK).lines().enumerate() {
         if line.trim_start().starts_with('#') {
             right |= line.contains(RIGHT);
             continue;

@@ -6,7 +6,7 @@ use factrs::utils::load_g20;
 use factrs::variables::{SE3, SO3};
 use nalgebra::{UnitQuaternion, Vector6};
 use relcov::export::{ExportOptions, Format, G2oRotation, MeasuredMotion, MeasuredMotions};
-use relcov::geometry::{Covariance6, Pose, Tangent};
+use relcov::geometry::{Covariance6, ErrorFrame, Pose, Tangent};
 
 #[test]
 fn factrs_reads_the_error_that_the_covariance_says() {
@@ -21,7 +21,7 @@ fn factrs_reads_the_error_that_the_covariance_says() {
     let measured = MeasuredMotions {
         system: "vo".to_owned(),
         drive: "lab".to_owned(),
-        frame: "vehicle".to_owned(),
+        frame: ErrorFrame::Vehicle,
         motions: vec![motion.clone()],
     };
     let options = ExportOptions { g2o_rotation: G2oRotation::Angle, ..ExportOptions::default() };

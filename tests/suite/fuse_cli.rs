@@ -75,11 +75,19 @@ fn fixes_correct_what_odometry_cannot_know() {
     let fixes = folder.path().join("fixes.csv");
     std::fs::write(&fixes, "frame,x,y,z,std_x,std_y,std_z\n0,0,0,0,.02,.02,.02\n").unwrap();
     let base = ["fuse", "--odometry", &odometry];
+    // A file may say whose motions it holds.
+    let text = std::fs::read_to_string(folder.path().join("vo.csv")).unwrap();
+    for (name, frame) in [("vo.csv", "camera"), ("wheel.csv", "vehicle")] {
+        std::fs::write(folder.path().join(name), format!("# frame {frame}, perturbation left\n{text}")).unwrap();
+    }
+    let other_body = format!("wheel={}", folder.path().join("wheel.csv").display());
     for (more, expected) in [
         (vec!["--fixes", fixes.to_str().unwrap()], "1 positions without an attitude"),
         (vec!["--fixes", "nowhere.csv"], "nowhere.csv: cannot read"),
         (vec!["--constant", "vo=1,2"], "six standard deviations"),
         (vec!["--constant", "wheel=1,1,1,1,1,1"], "no --odometry wheel"),
+        (vec!["--constant", "vo=1e-160,1e-160,1e-160,1e-160,1e-160,1e-160"], "six standard deviations above zero"),
+        (vec!["--odometry", &other_body], "different bodies: camera and vehicle"),
         (vec!["--simulate-fixes", "5,1"], "needs --truth"),
         (vec!["--odometry", "wheel=nowhere.csv"], "nowhere.csv: cannot read"),
     ] {

@@ -134,6 +134,12 @@ fn a_drive_a_manifest_and_a_stream_agree() {
     let config = config.display().to_string();
     let of_manifest =
         world.lines(&["--config", &config, "--system", "vo", "--set", &camera_from_vehicle, "--split", "test"]);
+    let given = vehicle.map(|number| number.to_string()).join(",");
+    let direct = world.lines(&["--manifest", &manifest, "--camera-from-vehicle", &given]);
+    assert_eq!(direct.len(), FRAMES - 1);
+    for (line, expected) in direct.iter().zip(&of_drive) {
+        assert!(difference(&covariance(expected), &covariance(line)) < 1e-6, "{line}");
+    }
 
     let image = |frame: usize| world.path().join(format!("2020_01_01/{DRIVE}/image_02/data/{frame:010}.png"));
     let camera = calibration.camera2;
@@ -142,7 +148,7 @@ fn a_drive_a_manifest_and_a_stream_agree() {
         let mut motion = motions[source].matrix().transpose().as_slice().to_vec();
         motion.truncate(if source.is_multiple_of(2) { 16 } else { 12 });
         json!({
-            "id": {"frame": source},
+            "id": source,
             "source_image": {"base64": encoded},
             "target_image": image(source + 1),
             "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
@@ -157,7 +163,7 @@ fn a_drive_a_manifest_and_a_stream_agree() {
     let streamed: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     assert_eq!(streamed.len(), FRAMES - 1, "{text}");
     for (source, answer) in streamed.iter().enumerate() {
-        assert_eq!(answer["id"]["frame"].as_u64(), Some(source as u64));
+        assert_eq!(answer["id"].as_u64(), Some(source as u64));
         let expected = covariance(&of_drive[source]);
         assert!(difference(&expected, &covariance(answer)) < 1e-6, "{answer}");
     }
@@ -257,21 +263,28 @@ fn a_stream_of_garbage_goes_on() {
         request.to_string()
     };
     let cases = [
-        ("garbage".to_owned(), "not a JSON object"),
-        ("[1, 2]".to_owned(), "a list"),
-        ("{\"id\": 9}".to_owned(), "field `pose`: found nothing"),
+        ("garbage".to_owned(), "no request: expected value"),
+        ("[1, 2]".to_owned(), "no request: invalid type: integer"),
+        ("{\"id\": 9}".to_owned(), "missing field `source_image`"),
+        (format!("{{\"id\": [{}0]}}", "{\"\":0},".repeat(1000)), "an id: a number, or text"),
+        (changed("id", json!("x".repeat(2000))), "an id of 2000 bytes"),
         (changed("source_image", json!("nowhere.png")), "nowhere.png"),
+        (changed("source_image", json!("/dev/zero")), "no regular file"),
         (changed("source_image", json!({"base64": "!!"})), "field `source_image`"),
         (changed("source_image", json!({"base64": "aGVsbG8="})), "field `source_image`"),
-        (changed("source_image", json!(7)), "found a number"),
-        (changed("intrinsics", json!([60, 60, 48])), "found 3 numbers"),
+        (changed("source_image", json!({"path": "a.png"})), "unknown field `path`, expected `base64`"),
+        (changed("source_image", json!(7)), "an image or depth map: a path"),
+        (changed("intrinsics", json!([60, 60, 48])), "an array of length 4"),
         (changed("intrinsics", json!([-60, 60, 48, 24])), "focal lengths positive"),
         (changed("pose", json!([0, 0, 1, 0, 0, 0, 2])), "length 2"),
-        (changed("pose", json!([[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]])), "rotation matrix"),
-        (changed("pose", json!("forward")), "found text"),
+        (changed("pose", json!([0, 0, 1e9, 0, 0, 0, 1])), "field `pose`: found a translation"),
+        (changed("pose", json!([[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]])), "field `pose`: found |RᵀR"),
+        (changed("pose", json!([1, 2, 3])), "field `pose`: found 3 numbers"),
+        (changed("pose", json!(vec![1; 1000])), "a pose: 7 numbers"),
+        (changed("pose", json!("forward")), "a pose: 7 numbers"),
         (changed("pose_frame", json!("boat")), "`camera` or `vehicle`"),
         (changed("depth", json!(image)), "16-bit grey PNG"),
-        (changed("posé", json!(1)), "an unknown field"),
+        (changed("posé", json!(1)), "unknown field `posé`"),
     ];
     let mut process = std::process::Command::new(assert_cmd::cargo::cargo_bin("relcov"))
         .args(["predict", "--stream", "--run"])
@@ -320,6 +333,9 @@ fn what_cannot_be_done_is_said() {
         (vec!["--format", "gtsam", "--perturbation", "left"], "right perturbation"),
         (vec!["--format", "csv", "--covariance", "none"], "--covariance is for tum and kitti"),
         (vec!["--format", "g2o"], "there are 2 of them"),
+        (vec!["--format", "csv", "--out", "{drive}.csv"], "there are 2 of them for one output"),
+        (vec!["--system", "vo", "--out", "src"], "src: found a folder"),
+        (vec!["--format", "tum", "--system", "vo", "--frame", "world"], "axes of the world turn"),
         (vec!["--system", "lidar"], "the data have vo, gnss"),
         (vec!["--set", "model.width=64"], "keeps its shape"),
         (vec!["--stream", "--frame", "world"], "single measurements do not know the world"),
