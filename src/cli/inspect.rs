@@ -101,7 +101,8 @@ fn with_maps_that_are_there(config: &Config) -> (Config, Option<String>) {
 }
 
 fn describe(config: &Config, dataset: &Dataset, depth_problem: Option<String>) -> String {
-    let mut text = format!("data: {}\n{}\n\n", dataset.root.display(), coverage_table(dataset));
+    let place = config.data.manifest.as_ref().unwrap_or(&dataset.root);
+    let mut text = format!("data: {}\n{}\n\n", place.display(), coverage_table(dataset));
     for name in [SplitName::Train, SplitName::Validation, SplitName::Test] {
         text += &format!("{}\n", summary(dataset, name));
     }

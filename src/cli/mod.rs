@@ -38,7 +38,7 @@ const INTERRUPTED: u8 = 130;
   relcov train --config configs/kitti_sample.toml
   relcov eval --run checkpoints/kitti_sample
   relcov report checkpoints/kitti_sample --html report.html
-  relcov predict --run checkpoints/synthetic --manifest pairs.csv --format ros --out predictions.jsonl
+  relcov predict --run checkpoints/synthetic --manifest pairs.csv --format jsonl --out predictions.jsonl
   relcov fuse --odometry vo=vo.csv --odometry wheel=wheel.csv --fixes gnss.csv --out fused.tum")]
 struct Arguments {
     #[command(subcommand)]
@@ -106,7 +106,19 @@ impl Overrides {
     /// # Errors
     /// As [`Config::load`], or errors are in other axes than the model's covariances.
     fn load_for_run(&self, config: Option<&Path>, run: &RunFolder, manifest: &Manifest) -> Result<Config, Error> {
-        let mut config = self.load(config.unwrap_or(&run.config_path()))?;
+        self.fit_to_run(self.load(config.unwrap_or(&run.config_path()))?, manifest)
+    }
+
+    /// The configuration of a run, for data that will take the place of its own.
+    fn load_for_other_data(&self, run: &RunFolder, manifest: &Manifest) -> Result<Config, Error> {
+        let mut config = Config::load_for_other_data(&run.config_path(), &self.set)?;
+        if let Some(device) = &self.device {
+            config.device.clone_from(device);
+        }
+        self.fit_to_run(config, manifest)
+    }
+
+    fn fit_to_run(&self, mut config: Config, manifest: &Manifest) -> Result<Config, Error> {
         let architecture = &manifest.architecture;
         config.model = ModelConfig {
             width: architecture.width,

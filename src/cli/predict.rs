@@ -31,7 +31,7 @@ const LONGEST_REQUEST_BYTES: usize = 64 << 20;
 #[command(group(ArgGroup::new("input").args(["drive", "manifest", "config", "stream"])))]
 #[command(after_help = "Examples:
   relcov predict --run checkpoints/kitti --drive kitti/2011_09_30/2011_09_30_drive_0034_sync --measurements vo.txt
-  relcov predict --run checkpoints/robot --manifest pairs.csv --format g2o --out graph.g2o
+  relcov predict --run checkpoints/robot --manifest pairs.csv --format g2o --out 'graphs/{drive}.g2o'
   relcov predict --run checkpoints/robot --manifest pairs.csv --format ros --floor 1e-6 --frame camera
   relcov predict --run checkpoints/synthetic --out 'predictions/{system}/{drive}.csv'
   robot | relcov predict --run checkpoints/robot --stream | filter
@@ -158,7 +158,11 @@ pub fn run(arguments: &PredictArguments, terminal: &Terminal) -> anyhow::Result<
     arguments.overrides.refuse_model_keys()?;
     let run = RunFolder::open(&arguments.run)?;
     let manifest = run.manifest()?;
-    let config = arguments.overrides.load_for_run(arguments.config.as_deref(), &run, &manifest)?;
+    let other_data = arguments.stream || arguments.drive.is_some() || arguments.manifest.is_some();
+    let config = match other_data {
+        true => arguments.overrides.load_for_other_data(&run, &manifest)?,
+        false => arguments.overrides.load_for_run(arguments.config.as_deref(), &run, &manifest)?,
+    };
     let device = open_device(&config.device)?;
     let model = Model::load(&arguments.run, &device)?;
     if arguments.stream {

@@ -19,10 +19,24 @@ impl Config {
     /// The file cannot be read, is not TOML, holds an unknown key or an unusable value; the message
     /// names the line or key.
     pub fn load(path: &Path, overrides: &[String]) -> Result<Self> {
+        Self::load_edited(path, overrides, &|_| {})
+    }
+
+    /// The same for data other than those it describes: what it would render is no matter.
+    pub(crate) fn load_for_other_data(path: &Path, overrides: &[String]) -> Result<Self> {
+        Self::load_edited(path, overrides, &|table| {
+            if let Some(toml::Value::Table(data)) = table.get_mut("data") {
+                data.remove("synthetic");
+            }
+        })
+    }
+
+    fn load_edited(path: &Path, overrides: &[String], edit: &dyn Fn(&mut toml::Table)) -> Result<Self> {
         let text = read_text(path)?;
         let folder = path.parent().unwrap_or(Path::new(""));
         let data_root = std::env::var_os(DATA_ROOT_VARIABLE).map(PathBuf::from);
-        let table = overrides::merge(&text, path, folder, data_root.as_deref(), overrides)?;
+        let mut table = overrides::merge(&text, path, folder, data_root.as_deref(), overrides)?;
+        edit(&mut table);
         let mut config = Self::deserialize(table).map_err(|error| {
             let expected = "a relcov configuration (README.md, \"Configuration\")";
             let place = Place::Whole;

@@ -259,9 +259,12 @@ impl Dataset {
             .filter_map(|coverage| coverage.missing_files[system].as_ref())
             .map(|path| path.display().to_string())
             .collect();
+        let no_depth = sum(|coverage| coverage.image_pairs) > 0 && sum(|coverage| coverage.depth_pairs) == 0;
+        let depth =
+            if no_depth { "; depth.source has none for these images, choose another (docs/depth.md)" } else { "" };
         let missing = if files.is_empty() { String::new() } else { format!("; not found: {}", files.join(", ")) };
         Error::Data(format!(
-            "split `{}` has no pairs of system `{}`: {} drives, {} pairs of true poses, {} of them with images, {} of those with depth, {measured} measured by the system{missing}. \
+            "split `{}` has no pairs of system `{}`: {} drives, {} pairs of true poses, {} of them with images, {} of those with depth, {measured} measured by the system{missing}{depth}. \
              `relcov inspect --config …` shows what each drive holds; `data.{}` chooses the drives",
             name.name(),
             self.systems[system],
