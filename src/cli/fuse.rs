@@ -20,7 +20,7 @@ use crate::fusion::{DEVIATIONS, Fix, Odometry, SimulatedFixes, TrajectoryScores,
 use crate::geometry::{Covariance6, ErrorFrame, Pose, Tangent};
 use crate::report::figures::{DrawnTrajectory, FusedDrive, draw_fusion, to_png};
 use crate::report::{FusionRow, TableFormat, fusion_table};
-use crate::systems::{Trajectory, Truth, parse_kitti_trajectory, parse_relative_poses, stated_frame};
+use crate::systems::{RelativePose, Trajectory, Truth, parse_kitti_trajectory, parse_relative_poses, stated_frame};
 use crate::training::{Manifest, RunFolder};
 
 /// What trained predictions are called.
@@ -188,28 +188,26 @@ fn read_odometry(text: &str, constants: &BTreeMap<String, Covariance6>) -> Resul
         text.split_once('=').ok_or_else(|| Error::Data(format!("--odometry {text}: expected NAME=FILE")))?;
     let path = Path::new(path);
     let text = read_text(path)?;
-    let poses = parse_relative_poses(&text, path)?;
-    let constant = constants.get(name).copied();
-    let motions = poses.iter().map(|pose| {
-        let covariance = constant.or(pose.covariance).ok_or_else(|| {
-            Error::Data(format!(
-                "{}: frames {} and {} have no covariance; `relcov predict --format csv` gives them one, or --constant {name}=…",
-                path.display(),
-                pose.source,
-                pose.target
-            ))
-        })?;
-        Ok((pose.source, pose.target, pose.source_from_target, covariance))
-    });
-    let odometry = Odometry { system: name.to_owned(), motions: motions.collect::<Result<_>>()? };
+    let mut motions = parse_relative_poses(&text, path)?;
+    if let Some(covariance) = constants.get(name) {
+        motions.iter_mut().for_each(|motion| motion.covariance = Some(*covariance));
+    }
+    if let Some(bare) = motions.iter().find(|motion| motion.covariance.is_none()) {
+        return Err(Error::Data(format!(
+            "{}: frames {} and {} have no covariance; `relcov predict --format csv` gives them one, or --constant {name}=…",
+            path.display(),
+            bare.source,
+            bare.target
+        )));
+    }
+    let odometry = Odometry { system: name.to_owned(), motions };
     Ok((odometry, stated_frame(&text).map(str::to_owned)))
 }
 
 /// The true poses of frames that some motion reaches.
 fn reached(truth: &Trajectory, odometry: &[Odometry]) -> Trajectory {
     let motions = odometry.iter().flat_map(|system| &system.motions);
-    let frames: std::collections::BTreeSet<usize> =
-        motions.flat_map(|&(source, target, ..)| [source, target]).collect();
+    let frames: std::collections::BTreeSet<usize> = motions.flat_map(|motion| [motion.source, motion.target]).collect();
     truth.iter().filter(|(frame, _)| frames.contains(frame)).map(|(&frame, &pose)| (frame, pose)).collect()
 }
 
@@ -443,7 +441,12 @@ fn odometry_of(measured: &Measured, systems: &[&SystemPairs], method: Method, dr
         let rows = system.rows.iter().zip(covariances).filter(|(row, _)| *row.drive == *drive.name);
         let motions = rows.map(|(row, covariance)| {
             let motion = row.motion.expect("a data set knows its motions");
-            (row.source, row.target, Pose::exp(&motion.into()), covariance.transported(&vehicle_from_errors))
+            RelativePose {
+                source: row.source,
+                target: row.target,
+                source_from_target: Pose::exp(&motion.into()),
+                covariance: Some(covariance.transported(&vehicle_from_errors)),
+            }
         });
         Odometry { system: system.name.clone(), motions: motions.collect() }
     });

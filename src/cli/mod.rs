@@ -106,7 +106,7 @@ impl Overrides {
     /// # Errors
     /// As [`Config::load`], or errors are in other axes than the model's covariances.
     fn load_for_run(&self, config: Option<&Path>, run: &RunFolder, manifest: &Manifest) -> Result<Config, Error> {
-        self.fit_to_run(self.load(config.unwrap_or(&run.config_path()))?, manifest)
+        fit_to_run(self.load(config.unwrap_or(&run.config_path()))?, manifest)
     }
 
     /// The configuration of a run, for data that will take the place of its own.
@@ -115,35 +115,36 @@ impl Overrides {
         if let Some(device) = &self.device {
             config.device.clone_from(device);
         }
-        self.fit_to_run(config, manifest)
+        fit_to_run(config, manifest)
     }
+}
 
-    fn fit_to_run(&self, mut config: Config, manifest: &Manifest) -> Result<Config, Error> {
-        let architecture = &manifest.architecture;
-        config.model = ModelConfig {
-            width: architecture.width,
-            height: architecture.height,
-            pair: architecture.pair,
-            input: architecture.input,
-            validity_mask: architecture.validity_mask,
-            stereo: architecture.stereo,
-            pose: architecture.pose,
-            head: architecture.head,
-            dropout: architecture.dropout,
-            min_log_variance: architecture.log_variance_floor.map_or(MinLogVariance::Off, MinLogVariance::Absolute),
-        };
-        let (found, trained) = (config.data.error_frame, manifest.conventions.error_frame);
-        if found == trained {
-            return Ok(config);
-        }
-        let (found, trained) = (found.name(), trained.name());
-        Err(Error::config(
-            "data.error_frame",
-            format!(
-                "`{found}` is not the `{trained}` this model was trained for; covariances of a diagonal model cannot be compared across frames"
-            ),
-        ))
+/// Gives a configuration the shape of a trained model.
+fn fit_to_run(mut config: Config, manifest: &Manifest) -> Result<Config, Error> {
+    let architecture = &manifest.architecture;
+    config.model = ModelConfig {
+        width: architecture.width,
+        height: architecture.height,
+        pair: architecture.pair,
+        input: architecture.input,
+        validity_mask: architecture.validity_mask,
+        stereo: architecture.stereo,
+        pose: architecture.pose,
+        head: architecture.head,
+        dropout: architecture.dropout,
+        min_log_variance: architecture.log_variance_floor.map_or(MinLogVariance::Off, MinLogVariance::Absolute),
+    };
+    let (found, trained) = (config.data.error_frame, manifest.conventions.error_frame);
+    if found == trained {
+        return Ok(config);
     }
+    let (found, trained) = (found.name(), trained.name());
+    Err(Error::config(
+        "data.error_frame",
+        format!(
+            "`{found}` is not the `{trained}` this model was trained for; covariances of a diagonal model cannot be compared across frames"
+        ),
+    ))
 }
 
 /// A role of pairs.

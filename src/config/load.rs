@@ -124,3 +124,20 @@ impl Config {
         self.systems.iter().map(|system| (system.share * self.training.batch as f64).round() as usize).collect()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_run_would_render_is_no_matter_for_other_data() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("config.toml");
+        let text = "name = \"a\"\n[data]\nroot = \"data\"\ntrain = []\ntest = []\n[data.synthetic]\nlidar_steps = 0\n\
+                    [[systems]]\nname = \"vo\"\nshare = 1.0\nsource = \"truth\"\n[training]\nbatch = 4\n";
+        std::fs::write(&path, text).unwrap();
+        let lidar = ["depth.source=lidar".to_owned()];
+        assert!(Config::load(&path, &lidar).unwrap_err().to_string().contains("lidar_steps"));
+        assert_eq!(Config::load_for_other_data(&path, &lidar).unwrap().data.synthetic, None);
+    }
+}

@@ -20,7 +20,7 @@ use nalgebra::{Matrix3, Matrix6, Quaternion, UnitQuaternion, Vector3};
 use super::fixes::{Fix, anchor};
 use crate::error::{Error, Result};
 use crate::geometry::{Covariance6, Pose, ROTATION, TRANSLATION};
-use crate::systems::{Trajectory, chain_poses};
+use crate::systems::{RelativePose, Trajectory, chain_poses};
 
 assign_symbols!(X: SE3);
 
@@ -36,9 +36,8 @@ const SOLVED: f64 = 1e-12;
 pub struct Odometry {
     /// Its name.
     pub system: String,
-    /// Its measurements: source and target frame, measured `source_from_target` in axes of the body, and covariance of
-    /// its left perturbation.
-    pub motions: Vec<(usize, usize, Pose, Covariance6)>,
+    /// Its measurements in axes of the body; each needs its covariance.
+    pub motions: Vec<RelativePose>,
 }
 
 /// The most likely trajectory.
@@ -106,10 +105,11 @@ pub fn fuse(odometry: &[Odometry], fixes: &[Fix]) -> Result<FusedTrajectory> {
 
     let mut graph = Graph::new();
     for Odometry { system, motions } in odometry {
-        for (source, target, pose, covariance) in motions {
-            let noise = covariance.right_of(pose).information().as_ref().and_then(gaussian).ok_or_else(|| {
+        for RelativePose { source, target, source_from_target: pose, covariance } in motions {
+            let information = covariance.and_then(|covariance| covariance.right_of(pose).information());
+            let noise = information.as_ref().and_then(gaussian).ok_or_else(|| {
                 Error::Data(format!(
-                    "{system}, frames {source} and {target}: the covariance cannot be inverted; every direction needs a variance, and none far from the others"
+                    "{system}, frames {source} and {target}: no covariance, or one that cannot be inverted; every direction needs a variance, and none far from the others"
                 ))
             })?;
             let between = BetweenResidual::new(to_factrs(pose));
@@ -208,7 +208,8 @@ impl LinearSolver for Cholesky {
 /// Poses of all frames in the first.
 fn chain(odometry: &[Odometry]) -> Result<Trajectory> {
     let motions = odometry.iter().flat_map(|system| &system.motions);
-    let motions: Vec<(usize, usize, Pose)> = motions.map(|&(source, target, pose, _)| (source, target, pose)).collect();
+    let motions: Vec<(usize, usize, Pose)> =
+        motions.map(|motion| (motion.source, motion.target, motion.source_from_target)).collect();
     let mut parts = chain_poses(&motions);
     match parts.as_slice() {
         [] => Err(Error::Data("no system has a motion: there is nothing to fuse".to_owned())),
@@ -325,7 +326,12 @@ mod tests {
         let motion = |source: usize| {
             let exact = truth[&source].inverse() * truth[&(source + 1)];
             let error = errors.get(source).copied().unwrap_or_else(Tangent::zeros);
-            (source, source + 1, Pose::exp(&error) * exact, covariance)
+            RelativePose {
+                source,
+                target: source + 1,
+                source_from_target: Pose::exp(&error) * exact,
+                covariance: Some(covariance),
+            }
         };
         Odometry { system: system.to_owned(), motions: (0..truth.len() - 1).map(motion).collect() }
     }
@@ -356,9 +362,9 @@ mod tests {
         let fused = fuse(std::slice::from_ref(&odometry), &[]).unwrap();
         assert!(!fused.placed);
         let (mut sum, mut pose) = (Covariance6::zero(), Pose::identity());
-        for (_, target, motion, covariance) in &odometry.motions {
-            sum = sum.plus(&covariance.transported(&pose));
-            pose = pose * *motion;
+        for RelativePose { target, source_from_target, covariance, .. } in &odometry.motions {
+            sum = sum.plus(&covariance.unwrap().transported(&pose));
+            pose = pose * *source_from_target;
             let expected = sum.right_of(&pose);
             let difference = fused.covariances[target].matrix() - expected.matrix();
             assert!(difference.norm() < 1e-6 * expected.matrix().norm(), "{difference}");
@@ -386,7 +392,7 @@ mod tests {
         let mut broken = whole.clone();
         broken.motions.remove(2);
         let mut flat = whole.clone();
-        flat.motions[1].3 = Covariance6::zero();
+        flat.motions[1].covariance = Some(Covariance6::zero());
         let outside = Fix { frame: 99, ..position(0, &truth[&0], 0.1) };
         let two: Vec<Fix> = [0, 5].map(|frame| position(frame, &truth[&frame], 0.1)).into();
         for (odometry, fixes, word) in [
