@@ -1,30 +1,27 @@
 //! `relcov predict`: covariances of new measurements.
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::io::{self, BufRead, Write};
-use std::path::{Path, PathBuf};
+mod inputs;
+mod sink;
+mod stream;
 
-use anyhow::Context;
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+
 use clap::{ArgGroup, Args, ValueEnum};
 
-use super::output::make_folder;
 use super::progress::{Progress, note};
-use super::{FrameArgument, Overrides, SplitArgument, Terminal, print_result, synth};
-use crate::config::{
-    Config, DataConfig, DepthConfig, DriveConfig, MeasurementFrame, RelativeConfig, SystemConfig, SystemSource,
-    TrajectoryConfig, TrajectoryFormat, TruthConfig,
-};
-use crate::data::{Dataset, Manifest, PairScope, SplitName};
+use super::{FrameArgument, Overrides, SplitArgument, Terminal, synth};
+use crate::config::{Config, DepthConfig, MeasurementFrame};
+use crate::data::{Dataset, PairScope, SplitName};
 use crate::depth::{DepthCache, DepthEstimator, Present, precompute};
 use crate::device::{device_name, open_device};
 use crate::error::{Error, Result};
-use crate::export::{ExportOptions, Format, G2oRotation, MeasuredMotions, Perturbation, TrajectoryCovariance};
-use crate::files::{require_no_folder, write_atomically};
-use crate::predict::{Model, Stream, StreamSettings};
+use crate::export::{ExportOptions, Format, G2oRotation, Perturbation, TrajectoryCovariance};
+use crate::predict::Model;
 use crate::training::RunFolder;
-
-/// Longest request of a stream: two images of some 20 megapixels in base64.
-const LONGEST_REQUEST_BYTES: usize = 64 << 20;
+use inputs::{lenient, of_drive, of_manifest, with_system};
+use sink::Sink;
+use stream::stream;
 
 /// Arguments of `relcov predict`.
 #[derive(Args)]
@@ -216,106 +213,6 @@ pub fn run(arguments: &PredictArguments, terminal: &Terminal) -> anyhow::Result<
     Ok(())
 }
 
-/// The measurements of one drive.
-fn of_drive(arguments: &PredictArguments, config: Config, drive: &Path) -> anyhow::Result<Config> {
-    let path = arguments.measurements.as_deref().expect("clap requires it");
-    if !path.is_file() {
-        return Err(Error::Data(format!("--measurements {}: no such file", path.display())).into());
-    }
-    let folder = drive.canonicalize().map_err(Error::io("read", drive))?;
-    let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let root = folder.parent().and_then(Path::parent).context("--drive: expected a folder ROOT/DATE/DRIVE")?;
-    let path = path.canonicalize().map_err(Error::io("read", path))?;
-    let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
-    let form = arguments.measurement_format.unwrap_or(match extension {
-        "csv" => MeasurementFormat::Relative,
-        "tum" => MeasurementFormat::Tum,
-        _ => MeasurementFormat::Kitti,
-    });
-    let frame = arguments.measurement_frame.map_or(MeasurementFrame::Camera0, BodyArgument::frame);
-    let file = path.display().to_string();
-    let trajectory = |format| SystemSource::Trajectory(TrajectoryConfig { path: file.clone(), format, frame });
-    let source = match form {
-        MeasurementFormat::Kitti => trajectory(TrajectoryFormat::Kitti),
-        MeasurementFormat::Tum => trajectory(TrajectoryFormat::Tum),
-        MeasurementFormat::Relative => SystemSource::Relative(RelativeConfig { path: file.clone(), frame }),
-    };
-    let system = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    Ok(Config {
-        data: only_test(&config.data, root.to_owned(), None, None, vec![DriveConfig { drive: name, frames: None }]),
-        truth: TruthConfig::Oxts,
-        systems: vec![SystemConfig { name: system, share: 1.0, source }],
-        ..config
-    })
-}
-
-/// All measurements of a manifest.
-fn of_manifest(arguments: &PredictArguments, config: Config, path: &Path) -> anyhow::Result<Config> {
-    let manifest = Manifest::load(path)?;
-    let frame = arguments.measurement_frame.map_or(MeasurementFrame::Camera2, BodyArgument::frame);
-    let system =
-        |name: &str| SystemConfig { name: name.to_owned(), share: 1.0, source: SystemSource::Manifest { frame } };
-    let drives = manifest.sequences().map(|name| DriveConfig { drive: name.to_owned(), frames: None });
-    let data =
-        only_test(&config.data, PathBuf::new(), Some(path.to_owned()), arguments.camera_from_vehicle, drives.collect());
-    let depth = match &config.depth {
-        _ if arguments.changes("depth.") => config.depth.clone(),
-        _ if manifest.has_depth() => DepthConfig::Manifest {},
-        DepthConfig::GroundPlane { .. } | DepthConfig::Monodepth2(_) => config.depth.clone(),
-        DepthConfig::Lidar { .. } | DepthConfig::Files { .. } | DepthConfig::Manifest {} => {
-            return Err(Error::malformed(
-                path,
-                crate::error::Place::Field("depth".to_owned()),
-                "rows without a depth map",
-                "one for each target frame, as the model was trained with; or --set depth.source=ground_plane, or a depth network (docs/depth.md)",
-            )
-            .into());
-        }
-    };
-    let systems = manifest.systems().into_iter().map(system).collect();
-    Ok(Config { data, depth, truth: TruthConfig::Manifest { frame }, systems, ..config })
-}
-
-/// The data of a configuration replaced by drives to predict for.
-fn only_test(
-    data: &DataConfig,
-    root: PathBuf,
-    manifest: Option<PathBuf>,
-    camera_from_vehicle: Option<PoseNumbers>,
-    test: Vec<DriveConfig>,
-) -> DataConfig {
-    let camera_from_vehicle = camera_from_vehicle.or(data.camera_from_vehicle).filter(|_| manifest.is_some());
-    DataConfig {
-        root,
-        manifest,
-        camera_from_vehicle,
-        synthetic: None,
-        train: Vec::new(),
-        validation: Vec::new(),
-        test,
-        ..data.clone()
-    }
-}
-
-/// A prediction that cannot be made is no reason to withhold the others.
-fn lenient(arguments: &PredictArguments, mut config: Config) -> Config {
-    if !arguments.changes("data.max_bad_fraction") {
-        config.data.max_bad_fraction = 1.0;
-    }
-    config
-}
-
-/// One system alone, where it was asked for.
-fn with_system(arguments: &PredictArguments, mut config: Config) -> Result<Config> {
-    let Some(name) = &arguments.system else { return Ok(config) };
-    let known: Vec<String> = config.systems.iter().map(|system| system.name.clone()).collect();
-    config.systems.retain(|system| system.name == *name);
-    if config.systems.is_empty() {
-        return Err(Error::Data(format!("--system {name}: the data have {}", known.join(", "))));
-    }
-    Ok(config)
-}
-
 /// Makes the maps that a depth network owes to the pairs, where depth comes from one.
 fn make_depth_maps(
     config: &Config,
@@ -342,137 +239,6 @@ fn make_depth_maps(
     Ok(())
 }
 
-/// Where predictions go.
-struct Sink<'a> {
-    arguments: &'a PredictArguments,
-}
-
-impl<'a> Sink<'a> {
-    /// Finds out before the work whether the trajectories of these systems and drives can be written.
-    fn new<'b>(
-        arguments: &'a PredictArguments,
-        trajectories: impl Iterator<Item = (&'b str, &'b str)>,
-    ) -> anyhow::Result<Self> {
-        let sink = Self { arguments };
-        let mut owners: BTreeMap<Option<PathBuf>, usize> = BTreeMap::new();
-        trajectories.for_each(|(system, drive)| *owners.entry(sink.path(system, drive)).or_default() += 1);
-        let format = arguments.format;
-        if let Some(several) = owners.values().find(|&&owners| owners > 1 && !format.is_labelled()) {
-            return Err(Error::Data(format!(
-                "--format {} holds one system and one drive, and there are {several} of them for one output; give --out 'FOLDER/{{system}}/{{drive}}.{}', choose with --system, or take jsonl",
-                format.name(),
-                if format == Format::Ros { "jsonl" } else { format.name() }
-            ))
-            .into());
-        }
-        owners.keys().flatten().try_for_each(|path| require_no_folder(path))?;
-        // A folder that bears no name of the data can be made before the work.
-        let out = arguments.out.as_deref().filter(|out| out.parent().is_some_and(|folder| !is_template(folder)));
-        out.map_or(Ok(()), make_folder)?;
-        Ok(sink)
-    }
-
-    fn write(&self, predicted: &[MeasuredMotions], terminal: &Terminal) -> anyhow::Result<()> {
-        let (format, options) = (self.arguments.format, self.arguments.options());
-        let mut files: BTreeMap<Option<PathBuf>, String> = BTreeMap::new();
-        for measured in predicted {
-            let text = format.render(measured, &options)?;
-            *files.entry(self.path(&measured.system, &measured.drive)).or_default() += &text;
-        }
-        for (path, text) in files {
-            let Some(path) = path else {
-                print_result(&text)?;
-                continue;
-            };
-            make_folder(&path)?;
-            write_atomically(&path, text.as_bytes())?;
-            note(terminal.quiet, &format!("wrote {}", path.display()));
-        }
-        Ok(())
-    }
-
-    /// Where one system's predictions on one drive go; `None`: to stdout.
-    fn path(&self, system: &str, drive: &str) -> Option<PathBuf> {
-        let template = self.arguments.out.as_ref()?.display().to_string();
-        Some(template.replace("{system}", system).replace("{drive}", drive).into())
-    }
-}
-
-fn is_template(path: &Path) -> bool {
-    let text = path.to_string_lossy();
-    text.contains("{system}") || text.contains("{drive}")
-}
-
-/// Answers requests until stdin ends, or nobody listens any more.
-fn stream(arguments: &PredictArguments, config: &Config, model: &Model) -> anyhow::Result<()> {
-    if arguments.format != Format::Jsonl {
-        return Err(Error::Data("--stream answers in JSON lines; leave --format out".to_owned()).into());
-    }
-    let settings = StreamSettings {
-        depth: Some(config.depth.clone()),
-        frame: arguments.frame.map(FrameArgument::frame),
-        perturbation: arguments.perturbation,
-        floor: arguments.floor,
-    };
-    let stream = Stream::new(model, &settings)?;
-    let (mut requests, mut answers) = (io::stdin().lock(), io::stdout().lock());
-    let mut line = Vec::new();
-    loop {
-        let answer = match read_request(&mut requests, &mut line).context("cannot read stdin")? {
-            Request::End => return Ok(()),
-            Request::Line if line.iter().all(u8::is_ascii_whitespace) => continue,
-            Request::Line => match std::str::from_utf8(&line) {
-                Ok(text) => stream.answer(text),
-                Err(error) => Stream::refuse(&format!("not UTF-8: {error}")),
-            },
-            Request::TooLong => Stream::refuse(&format!(
-                "a line of more than {} MiB; send paths, or smaller images",
-                LONGEST_REQUEST_BYTES >> 20
-            )),
-        };
-        match writeln!(answers, "{answer}").and_then(|()| answers.flush()) {
-            Err(error) if error.kind() == io::ErrorKind::BrokenPipe => return Ok(()),
-            written => written.context("cannot write to stdout")?,
-        }
-    }
-}
-
-enum Request {
-    Line,
-    TooLong,
-    End,
-}
-
-/// Reads up to a line end; what is longer than a request may be is passed over, so that memory stays bounded.
-fn read_request(input: &mut impl BufRead, line: &mut Vec<u8>) -> io::Result<Request> {
-    line.clear();
-    line.shrink_to(1 << 20);
-    let mut too_long = false;
-    loop {
-        let available = input.fill_buf()?;
-        if available.is_empty() {
-            return Ok(match (line.is_empty(), too_long) {
-                (_, true) => Request::TooLong,
-                (true, false) => Request::End,
-                (false, false) => Request::Line,
-            });
-        }
-        let end = available.iter().position(|&byte| byte == b'\n');
-        let part = &available[..end.unwrap_or(available.len())];
-        too_long |= line.len() + part.len() > LONGEST_REQUEST_BYTES;
-        if too_long {
-            line.clear();
-        } else {
-            line.extend_from_slice(part);
-        }
-        let taken = part.len() + usize::from(end.is_some());
-        input.consume(taken);
-        if end.is_some() {
-            return Ok(if too_long { Request::TooLong } else { Request::Line });
-        }
-    }
-}
-
 impl BodyArgument {
     fn frame(self) -> MeasurementFrame {
         match self {
@@ -486,19 +252,6 @@ impl BodyArgument {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn requests_are_lines_and_long_ones_are_passed_over() {
-        let long = vec![b'x'; LONGEST_REQUEST_BYTES + 1];
-        let bytes = [b"first\n".as_slice(), &long, b"\nlast"].concat();
-        let mut input = io::BufReader::with_capacity(4096, bytes.as_slice());
-        let mut line = Vec::new();
-        let mut next = || (read_request(&mut input, &mut line).unwrap(), line.clone());
-        assert!(matches!(next(), (Request::Line, text) if text == b"first"));
-        assert!(matches!(next(), (Request::TooLong, _)));
-        assert!(matches!(next(), (Request::Line, text) if text == b"last"));
-        assert!(matches!(next(), (Request::End, _)));
-    }
 
     #[test]
     fn a_floor_is_one_number_or_two() {

@@ -12,6 +12,7 @@
 mod fixes;
 mod graph;
 mod scores;
+mod solver;
 
 pub use fixes::{DEVIATIONS, Fix, SimulatedFixes, parse_fixes};
 pub use graph::{FusedTrajectory, Odometry, fuse};

@@ -1,0 +1,113 @@
+//! What predictions are made for: a drive, a manifest, or one system of a configuration, each as a configuration.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+
+use super::{BodyArgument, MeasurementFormat, PoseNumbers, PredictArguments};
+use crate::config::{
+    Config, DataConfig, DepthConfig, DriveConfig, MeasurementFrame, RelativeConfig, SystemConfig, SystemSource,
+    TrajectoryConfig, TrajectoryFormat, TruthConfig,
+};
+use crate::data::Manifest;
+use crate::error::{Error, Place, Result};
+
+/// The measurements of one drive.
+pub(super) fn of_drive(arguments: &PredictArguments, config: Config, drive: &Path) -> anyhow::Result<Config> {
+    let path = arguments.measurements.as_deref().expect("clap requires it");
+    if !path.is_file() {
+        return Err(Error::Data(format!("--measurements {}: no such file", path.display())).into());
+    }
+    let folder = drive.canonicalize().map_err(Error::io("read", drive))?;
+    let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let root = folder.parent().and_then(Path::parent).context("--drive: expected a folder ROOT/DATE/DRIVE")?;
+    let path = path.canonicalize().map_err(Error::io("read", path))?;
+    let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
+    let form = arguments.measurement_format.unwrap_or(match extension {
+        "csv" => MeasurementFormat::Relative,
+        "tum" => MeasurementFormat::Tum,
+        _ => MeasurementFormat::Kitti,
+    });
+    let frame = arguments.measurement_frame.map_or(MeasurementFrame::Camera0, BodyArgument::frame);
+    let file = path.display().to_string();
+    let trajectory = |format| SystemSource::Trajectory(TrajectoryConfig { path: file.clone(), format, frame });
+    let source = match form {
+        MeasurementFormat::Kitti => trajectory(TrajectoryFormat::Kitti),
+        MeasurementFormat::Tum => trajectory(TrajectoryFormat::Tum),
+        MeasurementFormat::Relative => SystemSource::Relative(RelativeConfig { path: file.clone(), frame }),
+    };
+    let system = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    Ok(Config {
+        data: only_test(&config.data, root.to_owned(), None, None, vec![DriveConfig { drive: name, frames: None }]),
+        truth: TruthConfig::Oxts,
+        systems: vec![SystemConfig { name: system, share: 1.0, source }],
+        ..config
+    })
+}
+
+/// All measurements of a manifest.
+pub(super) fn of_manifest(arguments: &PredictArguments, config: Config, path: &Path) -> anyhow::Result<Config> {
+    let manifest = Manifest::load(path)?;
+    let frame = arguments.measurement_frame.map_or(MeasurementFrame::Camera2, BodyArgument::frame);
+    let system =
+        |name: &str| SystemConfig { name: name.to_owned(), share: 1.0, source: SystemSource::Manifest { frame } };
+    let drives = manifest.sequences().map(|name| DriveConfig { drive: name.to_owned(), frames: None });
+    let data =
+        only_test(&config.data, PathBuf::new(), Some(path.to_owned()), arguments.camera_from_vehicle, drives.collect());
+    let depth = match &config.depth {
+        _ if arguments.changes("depth.") => config.depth.clone(),
+        _ if manifest.has_depth() => DepthConfig::Manifest {},
+        DepthConfig::GroundPlane { .. } | DepthConfig::Monodepth2(_) => config.depth.clone(),
+        DepthConfig::Lidar { .. } | DepthConfig::Files { .. } | DepthConfig::Manifest {} => {
+            return Err(Error::malformed(
+                path,
+                Place::Field("depth".to_owned()),
+                "rows without a depth map",
+                "one for each target frame, as the model was trained with; or --set depth.source=ground_plane, or a depth network (docs/depth.md)",
+            )
+            .into());
+        }
+    };
+    let systems = manifest.systems().into_iter().map(system).collect();
+    Ok(Config { data, depth, truth: TruthConfig::Manifest { frame }, systems, ..config })
+}
+
+/// The data of a configuration replaced by drives to predict for.
+fn only_test(
+    data: &DataConfig,
+    root: PathBuf,
+    manifest: Option<PathBuf>,
+    camera_from_vehicle: Option<PoseNumbers>,
+    test: Vec<DriveConfig>,
+) -> DataConfig {
+    let camera_from_vehicle = camera_from_vehicle.or(data.camera_from_vehicle).filter(|_| manifest.is_some());
+    DataConfig {
+        root,
+        manifest,
+        camera_from_vehicle,
+        synthetic: None,
+        train: Vec::new(),
+        validation: Vec::new(),
+        test,
+        ..data.clone()
+    }
+}
+
+/// A prediction that cannot be made is no reason to withhold the others.
+pub(super) fn lenient(arguments: &PredictArguments, mut config: Config) -> Config {
+    if !arguments.changes("data.max_bad_fraction") {
+        config.data.max_bad_fraction = 1.0;
+    }
+    config
+}
+
+/// One system alone, where it was asked for.
+pub(super) fn with_system(arguments: &PredictArguments, mut config: Config) -> Result<Config> {
+    let Some(name) = &arguments.system else { return Ok(config) };
+    let known: Vec<String> = config.systems.iter().map(|system| system.name.clone()).collect();
+    config.systems.retain(|system| system.name == *name);
+    if config.systems.is_empty() {
+        return Err(Error::Data(format!("--system {name}: the data have {}", known.join(", "))));
+    }
+    Ok(config)
+}
