@@ -3,7 +3,7 @@
 mod files;
 mod measured;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::{ArgGroup, Args};
@@ -15,7 +15,7 @@ use crate::error::{Error, Result};
 use crate::evaluation::Method;
 use crate::export::fused_trajectory;
 use crate::files::{read_text, write_atomically};
-use crate::fusion::{DEVIATIONS, Fix, Odometry, SimulatedFixes, TrajectoryScores, fuse, parse_fixes};
+use crate::fusion::{DEVIATIONS, Fix, FusedTrajectory, Odometry, SimulatedFixes, TrajectoryScores, fuse, parse_fixes};
 use crate::report::figures::{DrawnTrajectory, FusedDrive, draw_fusion, to_png};
 use crate::report::{FusionRow, TableFormat, fusion_table};
 use crate::systems::Trajectory;
@@ -136,57 +136,76 @@ fn fuse_drives(arguments: &FuseArguments, terminal: &Terminal) -> anyhow::Result
     note(terminal.quiet, &format!("fusing {}", names.join(" + ")));
 
     let drives: Vec<usize> = drives_of(&measured.dataset, &systems);
-    let total = drives.len() * methods.len() * arguments.draws as usize;
-    let mut progress = Progress::new(terminal.quiet, "fusing", 0, total);
-    let (mut scored, mut drawn, mut trajectories, mut done) = (Vec::new(), Vec::new(), Vec::new(), 0);
+    let mut progress = Progress::new(terminal.quiet, "fusing", 0, drives.len() * methods.len());
+    let (mut scored, mut drawn, mut trajectories) = (Vec::new(), Vec::new(), Vec::new());
     for drive in drives {
         let name = &measured.dataset.drives[drive].name;
         let truth = true_trajectory(&measured, drive)?;
-        let mut draw =
+        let mut picture =
             FusedDrive { drive: name.clone(), truth: Trajectory::new(), fixes: Vec::new(), fused: Vec::new() };
         for method in &methods {
             let odometry = odometry_of(&measured, &systems, *method, drive)?;
             let truth = reached(&truth, &odometry);
-            let mut scores = Vec::new();
-            for draw_number in 0..arguments.draws {
-                let seed = arguments.seed.wrapping_add(draw_number);
-                let fixes = fixes_of(arguments, name, drive, &truth, seed)?;
-                let fused = fuse(&odometry, &fixes).with_context(|| format!("{name}, {}", method.name(RELCOV)))?;
-                let unjudged = || format!("{name}: the truth does not know the first frame and another");
-                scores.push(TrajectoryScores::of(&fused, &truth).with_context(unjudged)?);
-                if draw_number == 0 {
-                    if let Some(folder) = &arguments.out {
-                        let path = folder.join(format!("{name}_{}.tum", method.name(RELCOV)));
-                        trajectories.push((path, fused_trajectory(&fused)));
-                    }
-                    if let Some(placed) = fused.in_world_of(&truth).filter(|_| is_drawn(*method)) {
-                        draw.fused.push(DrawnTrajectory { label: method.name(RELCOV), poses: placed.poses });
-                    }
-                    (draw.truth, draw.fixes) = (truth.clone(), fixes.iter().map(|fix| fix.position).collect());
-                }
-                done += 1;
-                progress.set(done, "graphs");
+            let draws = fuse_draws(arguments, name, drive, &odometry, &truth)
+                .with_context(|| format!("{name}, {}", method.name(RELCOV)))?;
+            if let Some(folder) = &arguments.out {
+                let path = folder.join(format!("{name}_{}.tum", method.name(RELCOV)));
+                trajectories.push((path, fused_trajectory(&draws.first)));
             }
-            scored.push((name.clone(), *method, scores));
+            if let Some(placed) = draws.first.in_world_of(&truth).filter(|_| is_drawn(*method)) {
+                picture.fused.push(DrawnTrajectory { label: method.name(RELCOV), poses: placed.poses });
+            }
+            (picture.truth, picture.fixes) = (truth, draws.fixes.iter().map(|fix| fix.position).collect());
+            scored.push((name.clone(), *method, draws.scores));
+            progress.set(scored.len(), "graphs");
         }
-        drawn.push(draw);
+        drawn.push(picture);
         drawn.truncate(MOST_DRAWN);
     }
     drop(progress);
-    for (path, text) in &trajectories {
-        write_atomically(path, text.as_bytes())?;
-    }
+    trajectories.iter().try_for_each(|(path, text)| write_atomically(path, text.as_bytes()))?;
     if let Some(folder) = &arguments.out {
         note(terminal.quiet, &format!("wrote {} trajectories into {}", trajectories.len(), folder.display()));
     }
     print_result(&describe(arguments, &scored, &methods))?;
-    if let Some(path) = &arguments.save_plot {
-        let svg = draw_fusion(&drawn).map_err(|problem| anyhow::anyhow!("the picture cannot be drawn: {problem}"))?;
-        let svg_wanted = path.extension().is_some_and(|extension| extension == "svg");
-        let bytes = if svg_wanted { svg.into_bytes() } else { to_png(&svg).map_err(anyhow::Error::msg)? };
-        write_atomically(path, &bytes)?;
-        note(terminal.quiet, &format!("wrote {}", path.display()));
-    }
+    arguments.save_plot.as_ref().map_or(Ok(()), |path| save_plot(path, &drawn, terminal))
+}
+
+/// What came of fusing the same odometry with several draws of fixes.
+struct Draws {
+    /// Of each draw.
+    scores: Vec<TrajectoryScores>,
+    /// Trajectory and fixes of the first.
+    first: FusedTrajectory,
+    fixes: Vec<Fix>,
+}
+
+fn fuse_draws(
+    arguments: &FuseArguments,
+    drive: &str,
+    number: usize,
+    odometry: &[Odometry],
+    truth: &Trajectory,
+) -> anyhow::Result<Draws> {
+    let fuse_draw = |draw: u64| -> anyhow::Result<_> {
+        let fixes = fixes_of(arguments, drive, number, truth, arguments.seed.wrapping_add(draw))?;
+        let fused = fuse(odometry, &fixes)?;
+        let scores =
+            TrajectoryScores::of(&fused, truth).context("the truth does not know the first frame and another")?;
+        Ok((scores, fused, fixes))
+    };
+    let (scores, first, fixes) = fuse_draw(0)?;
+    let others = (1..arguments.draws).map(|draw| Ok(fuse_draw(draw)?.0));
+    let scores = std::iter::once(Ok(scores)).chain(others).collect::<anyhow::Result<_>>()?;
+    Ok(Draws { scores, first, fixes })
+}
+
+fn save_plot(path: &Path, drawn: &[FusedDrive], terminal: &Terminal) -> anyhow::Result<()> {
+    let svg = draw_fusion(drawn).map_err(|problem| anyhow::anyhow!("the picture cannot be drawn: {problem}"))?;
+    let svg_wanted = path.extension().is_some_and(|extension| extension == "svg");
+    let bytes = if svg_wanted { svg.into_bytes() } else { to_png(&svg).map_err(anyhow::Error::msg)? };
+    write_atomically(path, &bytes)?;
+    note(terminal.quiet, &format!("wrote {}", path.display()));
     Ok(())
 }
 
