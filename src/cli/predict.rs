@@ -12,7 +12,7 @@ use clap::{ArgGroup, Args, ValueEnum};
 use super::progress::{Progress, note};
 use super::{FrameArgument, Overrides, SplitArgument, Terminal, synth};
 use crate::config::{Config, DepthConfig, MeasurementFrame};
-use crate::data::{Dataset, PairScope, SplitName};
+use crate::data::{Dataset, PairScope, Split, SplitName};
 use crate::depth::{DepthCache, DepthEstimator, Present, precompute};
 use crate::device::{device_name, open_device};
 use crate::error::{Error, Result};
@@ -197,20 +197,19 @@ pub fn run(arguments: &PredictArguments, terminal: &Terminal) -> anyhow::Result<
         return Err(Error::Data("not one pair could be read; the warnings above say why".to_owned()).into());
     }
     sink.write(&predicted, terminal)?;
-    let of_split = dataset.coverage.iter().filter(|coverage| coverage.split == split);
-    let measured: usize = of_split.flat_map(|coverage| &coverage.measured_pairs).sum();
-    let mut left_out = String::new();
-    for (pairs, why) in [
-        (pairs.pairs.len() - count, "could not be read"),
-        (measured.saturating_sub(pairs.pairs.len()), "have no images or no depth"),
-    ] {
-        if pairs > 0 {
-            left_out += &format!("; {pairs} {why}");
-        }
-    }
     let rate = count as f64 / begin.elapsed().as_secs_f64();
-    note(terminal.quiet, &format!("{count} covariances, {rate:.1} a second{left_out}"));
+    note(terminal.quiet, &format!("{count} covariances, {rate:.1} a second{}", describe_gaps(&dataset, pairs, count)));
     Ok(())
+}
+
+/// Which measurements got no covariance, and why.
+fn describe_gaps(dataset: &Dataset, split: &Split, predicted: usize) -> String {
+    let of_split = dataset.coverage.iter().filter(|coverage| coverage.split == split.name);
+    let measured: usize = of_split.flat_map(|coverage| &coverage.measured_pairs).sum();
+    // Of training drives some pairs may be held out, which lack nothing.
+    let lacking = if split.name == SplitName::Test { measured.saturating_sub(split.pairs.len()) } else { 0 };
+    let gaps = [(split.pairs.len() - predicted, "could not be read"), (lacking, "have no images or no depth")];
+    gaps.iter().filter(|(pairs, _)| *pairs > 0).map(|(pairs, why)| format!("; {pairs} {why}")).collect()
 }
 
 /// Makes the maps that a depth network owes to the pairs, where depth comes from one.
