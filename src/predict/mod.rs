@@ -9,6 +9,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use burn::tensor::Device;
+use nalgebra::Vector2;
 
 use crate::config::{Config, DepthConfig};
 use crate::data::{PairBatch, PairSample, RgbImage, RightImages};
@@ -165,7 +166,7 @@ impl Model {
     ///
     /// # Errors
     /// Images do not have the camera's size, buffers not the size they state, no depth is known, the pose or intrinsics
-    /// are not finite, or the model's output is not.
+    /// are not finite, the source image shows nothing of the target, or the model's output is not finite.
     pub fn predict(&self, measurement: &Measurement) -> Result<Covariance6> {
         Ok(self.predict_batch(std::slice::from_ref(measurement))?.swap_remove(0))
     }
@@ -231,12 +232,19 @@ impl Model {
         }
         let (width, height) = (self.architecture.width, self.architecture.height);
         let resized = |image: &RgbImage| Arc::new(image.clone().resized(width, height));
+        let (target_depth, camera) = (target_depth.resized(width, height), camera.resized(width, height));
+        if self.architecture.pair == ImagePair::Warped && !overlaps(&target_depth, &camera, source_from_target) {
+            return Err(Error::Data(
+                "by this pose and depth the source image shows nothing of the target: is the pose source_from_target, in axes of the camera and metres, the depth in metres, and are the intrinsics those of the images?"
+                    .to_owned(),
+            ));
+        }
         let (source_image, target_image) = rayon::join(|| resized(source_image), || resized(target_image));
         Ok(PairSample {
             source_image,
             target_image,
-            target_depth: Arc::new(target_depth.resized(width, height)),
-            camera: camera.resized(width, height),
+            target_depth: Arc::new(target_depth),
+            camera,
             source_from_target: *source_from_target,
             error: Tangent::zeros(),
             right: right.map(|right| RightImages {
@@ -248,12 +256,22 @@ impl Model {
     }
 }
 
+/// Whether a pixel of the target with known depth lies inside the source image (paper Eq. 5).
+fn overlaps(target_depth: &DepthMap, camera: &Pinhole, source_from_target: &Pose) -> bool {
+    let (right, bottom) = (camera.width as f64 - 1.0, camera.height as f64 - 1.0);
+    target_depth.known().any(|(u, v, depth)| {
+        let point = camera.backproject(&Vector2::new(u as f64, v as f64), f64::from(depth));
+        let seen = camera.project(&source_from_target.transform_point(&point));
+        seen.is_some_and(|pixel| (0.0..=right).contains(&pixel.x) && (0.0..=bottom).contains(&pixel.y))
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn a_measurement_without_any_depth_is_refused() {
+    fn a_measurement_that_leaves_nothing_to_compare_is_refused() {
         let device = Device::flex();
         let model = Model::untrained(Architecture::paper(32, 16), ErrorFrame::Vehicle, [-4.0; 6], &device);
         let grey = RgbImage { width: 64, height: 32, bytes: vec![128; 3 * 64 * 32] };
@@ -268,5 +286,10 @@ mod tests {
         assert!(model.predict(&measurement(5.0)).is_ok());
         let message = model.predict(&measurement(0.0)).unwrap_err().to_string();
         assert!(message.contains("not one pixel"), "{message}");
+        // The camera turned round: what it saw before is behind it.
+        let round = Pose::exp(&Tangent::new(0.0, 0.0, 0.0, 0.0, std::f64::consts::PI, 0.0));
+        let turned = Measurement { source_from_target: round, ..measurement(5.0) };
+        let message = model.predict(&turned).unwrap_err().to_string();
+        assert!(message.contains("shows nothing of the target"), "{message}");
     }
 }
