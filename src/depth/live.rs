@@ -67,6 +67,11 @@ impl LiveDepth {
         Self { source }
     }
 
+    /// No depth at all, and why: what [`LiveDepth::estimate`] will say.
+    pub(crate) fn missing(problem: String) -> Self {
+        Self { source: Source::Missing(problem) }
+    }
+
     /// Depth of an image, m; any size.
     ///
     /// # Errors

@@ -52,7 +52,8 @@ pub struct Model {
     error_frame: ErrorFrame,
     network: CovarianceModel,
     recalibration: Option<Recalibration>,
-    depth: DepthConfig,
+    /// Where the run's depth came from; of a folder without a readable configuration, why that is not known.
+    depth: Result<DepthConfig, String>,
     device: Device,
 }
 
@@ -99,7 +100,7 @@ impl Model {
             error_frame: manifest.conventions.error_frame,
             network,
             recalibration: run.recalibration()?,
-            depth: Config::load(&run.config_path(), &[])?.depth,
+            depth: Config::load(&run.config_path(), &[]).map(|config| config.depth).map_err(|error| error.to_string()),
             device: device.clone(),
         })
     }
@@ -136,7 +137,7 @@ impl Model {
         device: &Device,
     ) -> Self {
         let network = architecture.init(log_variance, device);
-        let depth = DepthConfig::default();
+        let depth = Ok(DepthConfig::default());
         Self { architecture, error_frame, network, recalibration: None, depth, device: device.clone() }
     }
 
@@ -153,7 +154,12 @@ impl Model {
     /// Depth for images that come without, from the source the model was trained with: a flat road, or a depth network
     /// whose scale is known. Other sources have none for a single image, which [`LiveDepth::estimate`] says.
     pub fn live_depth(&self) -> LiveDepth {
-        self.live_depth_of(&self.depth)
+        match &self.depth {
+            Ok(depth) => self.live_depth_of(depth),
+            Err(problem) => LiveDepth::missing(format!(
+                "no depth was given, and the run does not say where to take it from: {problem}"
+            )),
+        }
     }
 
     /// The same from another source.

@@ -8,6 +8,7 @@ use std::sync::OnceLock;
 
 use assert_cmd::Command;
 use base64::Engine;
+use predicates::prelude::PredicateBooleanExt;
 use predicates::str::contains;
 use relcov::data::{Calibration, Drive};
 use relcov::geometry::{Covariance6, Pose};
@@ -363,4 +364,23 @@ fn what_cannot_be_done_is_said() {
     assert!(!out.exists());
 }
 
-use predicates::prelude::PredicateBooleanExt;
+#[test]
+fn a_model_needs_its_configuration_only_for_depth_that_is_not_given() {
+    let world = World::get();
+    let run = tempfile::tempdir().unwrap();
+    for file in ["manifest.json", "model.safetensors"] {
+        std::fs::copy(world.path().join("runs/tiny").join(file), run.path().join(file)).unwrap();
+    }
+    let device = relcov::device::open_device("flex").unwrap();
+    let model = relcov::Model::load(run.path(), &device).unwrap();
+    let image = relcov::data::RgbImage { width: 64, height: 32, bytes: vec![128; 3 * 64 * 32] };
+    let camera = relcov::geometry::Pinhole { fx: 40.0, fy: 40.0, cx: 31.5, cy: 15.5, width: 64, height: 32 };
+    let message = model.live_depth().estimate(&image, &camera).unwrap_err().to_string();
+    assert!(message.contains("config.toml"), "{message}");
+    let target_depth = relcov::depth::ground_plane_depth(&camera, 1.65, None, 80.0);
+    let source_from_target = Pose::identity();
+    let (source_image, target_image) = (image.clone(), image);
+    let measurement =
+        relcov::Measurement { source_image, target_image, target_depth, camera, source_from_target, right: None };
+    assert!(model.predict(&measurement).unwrap().is_positive());
+}
