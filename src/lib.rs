@@ -26,6 +26,7 @@
 #![warn(missing_docs)]
 #![deny(unsafe_code)]
 
+pub mod alignment;
 pub mod config;
 pub mod data;
 pub mod depth;

@@ -119,6 +119,8 @@ mod tests {
             motion: Some([0.9, 0.0, 0.0, 0.0, 1e-3, 2e-2]),
             error: [0.1, -0.2, 0.3, 1e-3, 0.0, 1.0 / 3.0],
             covariance: Some(covariance),
+            posterior: None,
+            no_verdict: None,
             stated: (source == 7).then_some(full),
         };
         let rows = vec![row(6, full), row(7, Covariance6::from_std_devs(&Tangent::repeat(0.5)))];

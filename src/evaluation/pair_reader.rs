@@ -72,6 +72,8 @@ pub fn read_pairs(path: &Path, error_frame: ErrorFrame) -> Result<PairTable> {
             },
             error: row.error(&layout.error)?,
             covariance: layout.predicted.as_ref().map(|entries| row.covariance(entries)).transpose()?,
+            posterior: None,
+            no_verdict: None,
             stated: match &layout.stated {
                 Some(entries) if !row.is_empty(entries[0].1) => Some(row.covariance(entries)?),
                 _ => None,

@@ -5,9 +5,10 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use super::prediction::Prediction;
+use crate::alignment::NoVerdict;
 use crate::data::{Dataset, Pair, PairId, Split};
 use crate::files::sha256_hex;
-use crate::geometry::{Covariance6, ErrorFrame};
+use crate::geometry::{Covariance6, ErrorFrame, Posterior};
 
 /// All systems of a split.
 #[derive(Clone, Debug, PartialEq)]
@@ -44,8 +45,12 @@ pub struct PairRow {
     pub motion: Option<[f64; 6]>,
     /// e, order ρ then φ, m and rad.
     pub error: [f64; 6],
-    /// What was predicted, m² and rad².
+    /// The predicted covariance R, m² and rad².
     pub covariance: Option<Covariance6>,
+    /// What was predicted of the error itself; R is its second moment.
+    pub posterior: Option<Posterior>,
+    /// Why the images say nothing of this error, where they do not.
+    pub no_verdict: Option<NoVerdict>,
     /// What the measurement itself states, m² and rad².
     pub stated: Option<Covariance6>,
 }
@@ -59,6 +64,8 @@ impl PairTable {
                 motion: Some(row.motion.into()),
                 error: row.error,
                 covariance: Some(row.covariance),
+                posterior: row.posterior,
+                no_verdict: row.no_verdict,
                 stated: row.stated_covariance,
                 ..drives.row(row.pair)
             };
@@ -115,6 +122,8 @@ impl DriveNames<'_> {
             motion: None,
             error: [0.0; 6],
             covariance: None,
+            posterior: None,
+            no_verdict: None,
             stated: None,
         }
     }
@@ -180,6 +189,8 @@ pub(super) fn made_row(source: usize, error: f64, variance: f64) -> PairRow {
         motion: None,
         error: [error; 6],
         covariance: Some(Covariance6::from_variances(&Tangent::repeat(variance))),
+        posterior: None,
+        no_verdict: None,
         stated: Some(Covariance6::from_std_devs(&Tangent::repeat(0.2))),
     }
 }

@@ -5,10 +5,11 @@ use std::sync::Arc;
 use burn::tensor::{Device, Tensor};
 use burn::train::InferenceStep;
 
+use crate::alignment::NoVerdict;
 use crate::config::TrainingConfig;
 use crate::data::{BatchLoader, Choice, Pair, PairId, PairReader, Split};
 use crate::error::{Error, Result};
-use crate::geometry::{Covariance6, Tangent};
+use crate::geometry::{Covariance6, Posterior, Tangent};
 use crate::model::CovarianceModel;
 
 /// Outputs this close to their floor count as sitting on it, nats.
@@ -23,8 +24,12 @@ pub struct Prediction {
     pub system: usize,
     /// e, order ρ then φ, m and rad.
     pub error: [f64; 6],
-    /// Predicted covariance, m² and rad².
+    /// Predicted covariance R, m² and rad².
     pub covariance: Covariance6,
+    /// What is predicted of the error itself, of a model that does; R is its second moment.
+    pub posterior: Option<Posterior>,
+    /// Why the images say nothing of this error, where they do not.
+    pub no_verdict: Option<NoVerdict>,
     /// `log T̂` in vehicle axes, m and rad.
     pub motion: Tangent,
     /// The covariance that the measurement states: the true one in simulated data.
@@ -39,6 +44,8 @@ impl Prediction {
             system: pair.system,
             error: pair.error.into(),
             covariance,
+            posterior: None,
+            no_verdict: None,
             motion: pair.motion,
             stated_covariance: pair.stated_covariance,
         }

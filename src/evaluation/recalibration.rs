@@ -97,6 +97,8 @@ mod tests {
             system,
             error: [error; 6],
             covariance: Covariance6::from_variances(&Tangent::repeat(variance)),
+            posterior: None,
+            no_verdict: None,
             motion: Tangent::zeros(),
             stated_covariance: None,
         }

@@ -124,6 +124,11 @@ impl Covariance6 {
         Self(self.0 + other.0)
     }
 
+    /// `self + v vᵀ`.
+    pub fn plus_outer(&self, vector: &Vector6<f64>) -> Self {
+        Self(self.0 + vector * vector.transpose())
+    }
+
     /// The covariance of `J e`.
     pub fn mapped(&self, jacobian: &Matrix6<f64>) -> Self {
         Self(symmetric(&(jacobian * self.0 * jacobian.transpose())))

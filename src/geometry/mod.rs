@@ -15,9 +15,11 @@
 mod camera;
 mod covariance;
 mod frame;
+mod posterior;
 mod se3;
 
 pub use camera::Pinhole;
 pub use covariance::{Covariance6, CovarianceError};
 pub use frame::{Conventions, ErrorFrame};
+pub use posterior::Posterior;
 pub use se3::{Pose, ROTATION, TRANSLATION, Tangent, hat};

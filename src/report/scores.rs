@@ -326,6 +326,8 @@ mod tests {
             motion: Some([1.0, 0.0, 0.0, 0.0, 0.0, 0.01]),
             error: [0.04, -0.01, 0.02, 1e-3, -2e-4, 5e-6].map(|error| size * error),
             covariance: Some(Covariance6::from_std_devs(&(sigma * Tangent::new(0.03, 0.01, 0.02, 8e-4, 3e-4, 6e-6)))),
+            posterior: None,
+            no_verdict: None,
             stated: Some(Covariance6::from_std_devs(&Tangent::new(0.03, 0.01, 0.02, 8e-4, 3e-4, 6e-6))),
         };
         let system = |name: &str, rows| SystemPairs { name: name.to_owned(), simulated: true, rows };

@@ -215,6 +215,8 @@ pub fn write_pairs_csv(path: &Path, pairs: usize, seed: u64) {
             motion: Some([speed, 0.0, 0.0, 0.0, 0.0, 0.01 * speed]),
             error: std::array::from_fn(|c| sigma[c] * noise[c]),
             covariance: Some(Covariance6::from_std_devs(&Tangent::from(sigma))),
+            posterior: None,
+            no_verdict: None,
             stated: None,
         }
     };

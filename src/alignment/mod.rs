@@ -1,0 +1,12 @@
+//! The evidence of a pair: what its two images say of the error of the measured pose, by direct alignment.
+//!
+//! In: grey images, depth of the target, camera, measured `source_from_target`. The residual of the warped image is, to
+//! first order, linear in the error e of the measurement, so the photometric normal equations at the measured pose, and
+//! a few Gauss-Newton steps from there, give an estimate ê of the error and its information Λ ([`Evidence`]). Where the
+//! images say nothing there is no number but a reason ([`NoVerdict`]). On the CPU, no tensors.
+//!
+//! Leaves to others: how far the estimate may be trusted (`network` learns it), and the warp that the network sees.
+
+mod evidence;
+
+pub use evidence::NoVerdict;
