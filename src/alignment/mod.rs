@@ -8,5 +8,12 @@
 //! Leaves to others: how far the estimate may be trusted (`network` learns it), and the warp that the network sees.
 
 mod evidence;
+mod gauss_newton;
+mod image;
+#[cfg(test)]
+mod laws;
+mod normal_equations;
 
-pub use evidence::NoVerdict;
+pub use evidence::{Evidence, LEVELS, LevelEvidence, NoVerdict};
+pub use gauss_newton::{AlignmentInput, align};
+pub use image::GreyImage;

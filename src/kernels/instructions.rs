@@ -30,7 +30,7 @@ pub(crate) enum Instructions {
 }
 
 /// A kernel that is generic over the instruction set.
-pub(super) trait Kernel {
+pub(crate) trait Kernel {
     /// What it returns.
     type Output;
 
@@ -64,7 +64,7 @@ impl Instructions {
     }
 
     /// As [`Instructions::chosen`] where kernels run at all: nothing reaches them otherwise.
-    pub(super) fn current() -> Self {
+    pub(crate) fn current() -> Self {
         Self::chosen().ok().flatten().unwrap_or_else(|| Self::available()[0])
     }
 
@@ -99,7 +99,7 @@ impl Instructions {
 
     /// Runs a kernel compiled for these instructions.
     #[inline]
-    pub(super) fn run<K: Kernel>(self, kernel: K) -> K::Output {
+    pub(crate) fn run<K: Kernel>(self, kernel: K) -> K::Output {
         match self {
             #[cfg(target_arch = "x86_64")]
             Self::Avx512(simd) => simd.vectorize(Call { kernel, simd }),

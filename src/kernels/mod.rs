@@ -39,7 +39,7 @@ use burn::tensor::ops::MaxPoolOptions;
 
 pub(crate) use block::{Block, double};
 pub(crate) use fused::{Activation, Border};
-pub(crate) use instructions::Instructions;
+pub(crate) use instructions::{Instructions, Kernel};
 pub use optimiser::Adam;
 pub(crate) use warp::Validity;
 

@@ -1,0 +1,349 @@
+//! The photometric normal equations at one pose, in one pass over the points of a level.
+
+use nalgebra::{SMatrix, SVector};
+use pulp::Simd;
+
+use super::image::Textured;
+use crate::geometry::Pose;
+use crate::kernels::{Instructions, Kernel};
+
+/// Points of a step: a few registers of any instruction set.
+const CHUNK: usize = 64;
+/// Values that are summed side by side.
+const LANES: usize = 16;
+/// Chunks that are summed in f32 before they join the f64 sums.
+const FLUSH: usize = 32;
+/// Unknowns: six of the pose, gain and bias.
+pub(super) const UNKNOWNS: usize = 8;
+/// Columns of `[J r]`, and distinct products of two of them.
+const COLUMNS: usize = UNKNOWNS + 1;
+const PRODUCTS: usize = COLUMNS * (COLUMNS + 1) / 2;
+/// Degrees of freedom of Student's t, which residuals of real images follow (Kerl, Sturm and Cremers 2013).
+pub(super) const DEGREES_OF_FREEDOM: f32 = 5.0;
+/// Standardised residuals from here on have no weight: things that move, or that one view hides.
+const OUTLIER: f32 = 4.0;
+/// Least depth in the source camera, m.
+const MIN_DEPTH_M: f32 = 1e-3;
+
+/// Target pixels of known depth: points in camera axes, m, and what the target image shows there. Padded with points
+/// behind every camera to a whole number of chunks.
+#[derive(Default)]
+pub(super) struct Points {
+    pub x: Vec<f32>,
+    pub y: Vec<f32>,
+    pub z: Vec<f32>,
+    pub grey: Vec<f32>,
+    /// How many are no padding.
+    pub known: usize,
+}
+
+impl Points {
+    /// The pixels of a level, `rays` being those of `fx, fy, cx, cy`.
+    pub fn new(grey: &[f32], depth_m: &[f32], width: usize, [fx, fy, cx, cy]: [f32; 4]) -> Self {
+        let capacity = grey.len().next_multiple_of(CHUNK);
+        let list = || Vec::with_capacity(capacity);
+        let mut points = Self { x: list(), y: list(), z: list(), grey: list(), known: 0 };
+        for (row, (greys, depths)) in grey.chunks_exact(width).zip(depth_m.chunks_exact(width)).enumerate() {
+            let ray_y = (row as f32 - cy) / fy;
+            for (column, (&grey, &depth)) in greys.iter().zip(depths).enumerate() {
+                if depth > 0.0 && depth.is_finite() {
+                    points.x.push((column as f32 - cx) / fx * depth);
+                    points.y.push(ray_y * depth);
+                    points.z.push(depth);
+                    points.grey.push(grey);
+                }
+            }
+        }
+        points.known = points.z.len();
+        let padded = points.known.next_multiple_of(CHUNK);
+        for list in [&mut points.x, &mut points.y, &mut points.grey] {
+            list.resize(padded, 0.0);
+        }
+        points.z.resize(padded, -f32::MAX);
+        points
+    }
+}
+
+/// Where residuals are taken: `r = (1 + gain) I(π(T X)) + bias − I_target(X)`.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct State {
+    pub source_from_target: Pose,
+    pub gain: f64,
+    pub bias: f64,
+}
+
+/// Weighted sums over the valid points of a level.
+pub(super) struct NormalEquations {
+    /// `JᵀWJ`; J by a left perturbation `exp(−δ) T` of the pose (order ρ then φ, m and rad, axes of the source camera),
+    /// gain and bias.
+    pub hessian: SMatrix<f64, UNKNOWNS, UNKNOWNS>,
+    /// `JᵀWr`.
+    pub gradient: SVector<f64, UNKNOWNS>,
+    /// Points inside the source image.
+    pub valid: usize,
+}
+
+/// Residuals at a state, one a point; NaN where a point is not inside the source image.
+pub(super) fn residuals(source: &Textured, camera: [f32; 4], points: &Points, state: &State, residuals: &mut Vec<f32>) {
+    residuals.resize(points.z.len(), 0.0);
+    let pass = Pass { source, camera, points, state, residuals, scale: None };
+    Instructions::current().run(pass);
+}
+
+/// Normal equations at a state with Student's t weights of residuals of this scale, and the residuals.
+pub(super) fn normal_equations(
+    source: &Textured,
+    camera: [f32; 4],
+    points: &Points,
+    state: &State,
+    scale: f32,
+    residuals: &mut Vec<f32>,
+) -> NormalEquations {
+    residuals.resize(points.z.len(), 0.0);
+    let (products, valid) =
+        Instructions::current().run(Pass { source, camera, points, state, residuals, scale: Some(scale) });
+    let at = |row: usize, column: usize| {
+        let (row, column) = (row.min(column), row.max(column));
+        products[row * COLUMNS - row * (row + 1) / 2 + column]
+    };
+    NormalEquations {
+        hessian: SMatrix::from_fn(at),
+        gradient: SVector::from_fn(|row, _| at(row, UNKNOWNS)),
+        valid,
+    }
+}
+
+/// The scale of residuals under Student's t: the fixed point of `σ² = mean (ν+1) r² / (ν + r²/σ²)` (Kerl et al. 2013,
+/// Eq. 14), from a first guess; NaN are left out.
+pub(super) fn scale(residuals: &[f32], guess: f32, least: f32) -> f32 {
+    let mut scale = guess.max(least);
+    for _ in 0..SCALE_STEPS {
+        let (sum, count) = Instructions::current().run(ScaleSums { residuals, scale });
+        if count == 0.0 {
+            return least;
+        }
+        let next = ((sum / count).sqrt() as f32).max(least);
+        let settled = (next - scale).abs() < 0.02 * scale;
+        scale = next;
+        if settled {
+            break;
+        }
+    }
+    scale
+}
+
+/// Most steps towards the fixed point.
+const SCALE_STEPS: usize = 12;
+
+struct ScaleSums<'a> {
+    residuals: &'a [f32],
+    scale: f32,
+}
+
+impl Kernel for ScaleSums<'_> {
+    type Output = (f64, f64);
+
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) -> (f64, f64) {
+        let precision = 1.0 / (self.scale * self.scale);
+        let (mut sum, mut count) = (0.0, 0.0);
+        for block in self.residuals.chunks(CHUNK * FLUSH) {
+            let (mut sums, mut counts) = ([0.0f32; LANES], [0.0f32; LANES]);
+            for residuals in block.as_chunks::<LANES>().0 {
+                for lane in 0..LANES {
+                    let r = residuals[lane];
+                    let valid = r == r;
+                    let square = if valid { r * r } else { 0.0 };
+                    sums[lane] += square * (DEGREES_OF_FREEDOM + 1.0) / (DEGREES_OF_FREEDOM + square * precision);
+                    counts[lane] += if valid { 1.0 } else { 0.0 };
+                }
+            }
+            sum += sums.iter().map(|&value| f64::from(value)).sum::<f64>();
+            count += counts.iter().map(|&value| f64::from(value)).sum::<f64>();
+        }
+        (sum, count)
+    }
+}
+
+struct Pass<'a> {
+    source: &'a Textured,
+    camera: [f32; 4],
+    points: &'a Points,
+    state: &'a State,
+    residuals: &'a mut [f32],
+    /// Of the residuals, for their weights; `None`: residuals alone.
+    scale: Option<f32>,
+}
+
+/// A chunk of points in the source view.
+struct Projected {
+    x: [f32; CHUNK],
+    y: [f32; CHUNK],
+    /// 1/z.
+    inverse_z: [f32; CHUNK],
+    /// 1 inside the source image, else 0.
+    valid: [f32; CHUNK],
+    /// Upper left of the four source pixels, and the weights of the right and the lower ones.
+    first: [u32; CHUNK],
+    right: [f32; CHUNK],
+    lower: [f32; CHUNK],
+}
+
+impl Kernel for Pass<'_> {
+    type Output = ([f64; PRODUCTS], usize);
+
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) -> Self::Output {
+        let Self { source, camera, points, state, residuals, scale } = self;
+        let Textured { width, height, ref pixels } = *source;
+        assert!(width > 1 && height > 1 && pixels.len() == width * height, "an image of at least 2x2 pixels");
+        let pose: [f32; 12] =
+            std::array::from_fn(|index| state.source_from_target.matrix()[(index / 4, index % 4)] as f32);
+        let (gain, bias) = (1.0 + state.gain as f32, state.bias as f32);
+        let precision = scale.map(|scale| 1.0 / (scale * scale));
+        let mut sums = [0.0f64; PRODUCTS];
+        let mut lanes = [[0.0f32; LANES]; PRODUCTS];
+        let mut valid = 0.0f32;
+        let mut all_valid = 0.0f64;
+        let mut projected = Projected {
+            x: [0.0; CHUNK],
+            y: [0.0; CHUNK],
+            inverse_z: [0.0; CHUNK],
+            valid: [0.0; CHUNK],
+            first: [0; CHUNK],
+            right: [0.0; CHUNK],
+            lower: [0.0; CHUNK],
+        };
+        let mut sampled = [[0.0f32; CHUNK]; 3];
+        let mut columns = [[0.0f32; CHUNK]; COLUMNS];
+        let mut weighted = [[0.0f32; CHUNK]; COLUMNS];
+        let lists = points.x.as_chunks::<CHUNK>().0.iter().zip(points.y.as_chunks::<CHUNK>().0);
+        let lists = lists.zip(points.z.as_chunks::<CHUNK>().0).zip(points.grey.as_chunks::<CHUNK>().0);
+        let outputs = residuals.as_chunks_mut::<CHUNK>().0;
+        for (index, ((((x, y), z), grey), output)) in lists.zip(outputs).enumerate() {
+            project([x, y, z], &pose, camera, [width, height], &mut projected);
+            sample(pixels, width, &projected, &mut sampled);
+            let [values, along_rows, along_columns] = &sampled;
+            let r = &mut columns[UNKNOWNS];
+            for k in 0..CHUNK {
+                r[k] = gain * values[k] + bias - grey[k];
+                output[k] = if projected.valid[k] > 0.0 { r[k] } else { f32::NAN };
+            }
+            let Some(precision) = precision else { continue };
+            let [fx, fy, _, _] = camera;
+            for k in 0..CHUNK {
+                let inverse_z = projected.inverse_z[k];
+                let (x, y) = (projected.x[k], projected.y[k]);
+                // Derivatives of the residual by the point in the source view.
+                let by_x = gain * along_rows[k] * fx * inverse_z;
+                let by_y = gain * along_columns[k] * fy * inverse_z;
+                let by_z = -(by_x * x + by_y * y) * inverse_z;
+                let z = 1.0 / inverse_z;
+                columns[0][k] = -by_x;
+                columns[1][k] = -by_y;
+                columns[2][k] = -by_z;
+                columns[3][k] = z * by_y - y * by_z;
+                columns[4][k] = x * by_z - z * by_x;
+                columns[5][k] = y * by_x - x * by_y;
+                columns[6][k] = values[k];
+                columns[7][k] = 1.0;
+            }
+            let mut weights = [0.0f32; CHUNK];
+            for k in 0..CHUNK {
+                let r = columns[UNKNOWNS][k];
+                let square = r * r * precision;
+                let weight = (DEGREES_OF_FREEDOM + 1.0) / (DEGREES_OF_FREEDOM + square);
+                weights[k] = if square < OUTLIER * OUTLIER { weight * projected.valid[k] } else { 0.0 };
+                valid += projected.valid[k];
+            }
+            for (weighted, column) in weighted.iter_mut().zip(&columns) {
+                for k in 0..CHUNK {
+                    weighted[k] = weights[k] * column[k];
+                }
+            }
+            let mut product = 0;
+            for row in 0..COLUMNS {
+                for column in row..COLUMNS {
+                    let (a, b) = (weighted[row].as_chunks::<LANES>().0, columns[column].as_chunks::<LANES>().0);
+                    let mut sum = lanes[product];
+                    for (a, b) in a.iter().zip(b) {
+                        for lane in 0..LANES {
+                            sum[lane] += a[lane] * b[lane];
+                        }
+                    }
+                    lanes[product] = sum;
+                    product += 1;
+                }
+            }
+            if index % FLUSH == FLUSH - 1 {
+                flush(&mut lanes, &mut sums);
+                all_valid += f64::from(std::mem::take(&mut valid));
+            }
+        }
+        flush(&mut lanes, &mut sums);
+        (sums, (all_valid + f64::from(valid)) as usize)
+    }
+}
+
+#[inline(always)]
+fn flush(lanes: &mut [[f32; LANES]; PRODUCTS], sums: &mut [f64; PRODUCTS]) {
+    for (lanes, sum) in lanes.iter_mut().zip(sums) {
+        *sum += f64::from(lanes.iter().sum::<f32>());
+        *lanes = [0.0; LANES];
+    }
+}
+
+#[inline(always)]
+fn project(
+    [x, y, z]: [&[f32; CHUNK]; 3],
+    pose: &[f32; 12],
+    [fx, fy, cx, cy]: [f32; 4],
+    [width, height]: [usize; 2],
+    projected: &mut Projected,
+) {
+    let (last_u, last_v) = ((width - 1) as f32, (height - 1) as f32);
+    for k in 0..CHUNK {
+        let point = |axis: usize| {
+            pose[4 * axis] * x[k] + pose[4 * axis + 1] * y[k] + pose[4 * axis + 2] * z[k] + pose[4 * axis + 3]
+        };
+        let depth = point(2);
+        let in_front = depth > MIN_DEPTH_M;
+        let depth = if in_front { depth } else { 1.0 };
+        let inverse = 1.0 / depth;
+        let (px, py) = (point(0), point(1));
+        let (u, v) = (px * inverse * fx + cx, py * inverse * fy + cy);
+        let inside = u >= 0.0 && u <= last_u && v >= 0.0 && v <= last_v;
+        projected.valid[k] = if in_front && inside { 1.0 } else { 0.0 };
+        // Zeros where not valid, so that products with a weight of zero are zero.
+        projected.x[k] = if in_front && inside { px } else { 0.0 };
+        projected.y[k] = if in_front && inside { py } else { 0.0 };
+        projected.inverse_z[k] = inverse;
+        // Clamped, so that a point that is not valid reads some pixel too. `max` turns NaN into 0.
+        let (u, v) = (u.max(0.0).min(last_u), v.max(0.0).min(last_v));
+        // Signed: conversions of four lanes and more exist for those.
+        let (left, upper) = (u.min(last_u - 1.0) as i32, v.min(last_v - 1.0) as i32);
+        projected.first[k] = (upper * width as i32 + left) as u32;
+        projected.right[k] = u - left as f32;
+        projected.lower[k] = v - upper as f32;
+    }
+}
+
+/// Bilinear samples of intensity and gradient.
+#[inline(always)]
+fn sample(pixels: &[[f32; 4]], width: usize, projected: &Projected, sampled: &mut [[f32; CHUNK]; 3]) {
+    for k in 0..CHUNK {
+        let first = projected.first[k] as usize;
+        let upper: &[[f32; 4]; 2] = pixels[first..].first_chunk().expect("inside the image");
+        let lower: &[[f32; 4]; 2] = pixels[first + width..].first_chunk().expect("inside the image");
+        let (right, down) = (projected.right[k], projected.lower[k]);
+        let mut value = [0.0f32; 4];
+        for lane in 0..4 {
+            let above = upper[0][lane] + (upper[1][lane] - upper[0][lane]) * right;
+            let below = lower[0][lane] + (lower[1][lane] - lower[0][lane]) * right;
+            value[lane] = above + (below - above) * down;
+        }
+        for (sampled, value) in sampled.iter_mut().zip(value) {
+            sampled[k] = value;
+        }
+    }
+}
