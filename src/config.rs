@@ -17,8 +17,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::depth::{ScaleRule, ScaleScope};
 use crate::geometry::ErrorFrame;
-use crate::model::{ImagePair, InputBasis, PoseInput};
-use crate::network::Head;
+use crate::model::{EvidenceInput, ImagePair, InputBasis, PoseInput};
+use crate::network::{Head, ImageNetwork};
 use crate::synthetic::SyntheticSettings;
 
 pub use depth_training::DepthTrainingConfig;
@@ -158,6 +158,9 @@ pub enum SystemSource {
     Trajectory(TrajectoryConfig),
     /// Relative poses in a CSV file for each drive.
     Relative(RelativeConfig),
+    /// Generated: the truth, wrong by errors of every size, drawn anew in every pass of a training
+    /// ([`crate::systems::Perturbation`]). Needs true poses and no measurement.
+    Perturbation(PerturbationConfig),
     /// The rows of the pairs manifest that bear the system's name.
     Manifest {
         /// Whose motion they describe. Default: camera2, the camera of the manifest.
@@ -190,6 +193,16 @@ pub struct RelativeConfig {
     /// Whose poses they are. Default: camera0.
     #[serde(default)]
     pub frame: MeasurementFrame,
+}
+
+/// Errors of generated measurements.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct PerturbationConfig {
+    /// Errors of the middle size, x … yaw in axes of the errors, m and rad; they are drawn from a tenth to ten times of
+    /// it. Default: the RMS errors of the other systems that are learned from, over their training pairs.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub base: Option<[f64; 6]>,
 }
 
 /// Format of a trajectory file.
@@ -296,7 +309,13 @@ pub struct ModelConfig {
     pub stereo: bool,
     /// `none` (the paper) or `mlp`: the measured pose as a 6-vector beside the images. Default: none.
     pub pose: PoseInput,
-    /// `diagonal` (the paper) or `full` (`L D Lᵀ`, 21 values). Default: diagonal.
+    /// `off` (the paper) or `alignment`: what direct alignment of the two images says of the measured pose's error,
+    /// beside the images ([`crate::alignment`]). Default: off.
+    pub evidence: EvidenceInput,
+    /// `table_one` (the paper) or `none`: evidence alone. Default: table_one.
+    pub network: ImageNetwork,
+    /// `diagonal` (the paper), `full` (`L D Lᵀ`, 21 values) or `posterior` (needs evidence; a full covariance, and an
+    /// estimate of the error itself). Default: diagonal.
     pub head: Head,
     /// Dropout after each convolution. Default: 0.5 (paper Section V-A).
     pub dropout: f64,
@@ -314,6 +333,8 @@ impl Default for ModelConfig {
             validity_mask: false,
             stereo: false,
             pose: PoseInput::default(),
+            evidence: EvidenceInput::default(),
+            network: ImageNetwork::default(),
             head: Head::default(),
             dropout: 0.5,
             min_log_variance: MinLogVariance::BelowMean(12.0),

@@ -1,21 +1,28 @@
 //! The proposed method on one screen (paper Section IV): warp by the measured pose, predict
-//! log-variances, score them by the likelihood of the errors.
+//! log-variances, score them by the likelihood of the errors. Beside the paper: evidence of direct alignment, and a
+//! posterior of the error itself.
 
 mod input;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
-use burn::train::{InferenceStep, TrainOutput, TrainStep};
+use burn::train::{TrainOutput, TrainStep};
 use serde::{Deserialize, Serialize};
 
+use crate::alignment::{Evidence, FEATURES, NoVerdict};
 use crate::data::PairBatch;
 use crate::error::{Error, Result};
-use crate::geometry::Covariance6;
-use crate::loss::{floored, gaussian_loss};
-use crate::network::{CovarianceNetwork, CovarianceNetworkConfig, Head};
+use crate::geometry::{Covariance6, Posterior};
+use crate::loss::{floored, gaussian_loss, posterior_loss};
+use crate::network::{
+    CovarianceNetwork, CovarianceNetworkConfig, EvidenceTensors, Head, ImageNetwork, PosteriorTensors, posterior,
+};
 use crate::warp::Warp;
 
-pub use input::{ImagePair, InputBasis, PoseInput};
+pub use input::{EvidenceInput, ImagePair, InputBasis, PoseInput};
+
+/// Components of a pose error.
+const COMPONENTS: usize = 6;
 
 /// Everything that fixes the shape of a [`CovarianceModel`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -39,6 +46,12 @@ pub struct Architecture {
     /// Whether the measured pose is an input beside the images.
     #[serde(default)]
     pub pose: PoseInput,
+    /// Whether the evidence of direct alignment is an input.
+    #[serde(default)]
+    pub evidence: EvidenceInput,
+    /// What looks at the images.
+    #[serde(default)]
+    pub network: ImageNetwork,
     /// Form of the predicted covariance.
     #[serde(default)]
     pub head: Head,
@@ -71,15 +84,24 @@ impl Architecture {
             validity_mask: false,
             stereo: false,
             pose: PoseInput::None,
+            evidence: EvidenceInput::Off,
+            network: ImageNetwork::TableOne,
             head: Head::Diagonal,
             dropout: 0.5,
             log_variance_floor: None,
         }
     }
 
+    /// The floor under the variances of predicted covariances; `None` with a posterior head, whose floor is its prior's.
+    pub fn floor_of_covariances(&self) -> Option<[f64; 6]> {
+        self.log_variance_floor.filter(|_| self.head != Head::Posterior)
+    }
+
     /// Builds the model; every first prediction is `initial_log_variance` on the diagonal.
     pub fn init(&self, initial_log_variance: [f64; 6], device: &Device) -> CovarianceModel {
         let network = CovarianceNetworkConfig {
+            network: self.network,
+            evidence: (self.evidence == EvidenceInput::Alignment).then_some(FEATURES),
             channels: self.channels(),
             pose: self.pose == PoseInput::Mlp,
             head: self.head,
@@ -97,55 +119,102 @@ impl Architecture {
 }
 
 impl CovarianceModel {
-    /// Predicts covariances: `d = network(I_{i+1}, warp(I_i, ⁱT̂ᵢ₊₁))` (paper Fig. 2).
+    /// Predicts covariances: `d = network(I_{i+1}, warp(I_i, ⁱT̂ᵢ₊₁))` (paper Fig. 2), or what another head puts out.
     ///
     /// # Shapes
-    /// - returns: `[batch, 6]`, d; order ρ then φ, ln m² and ln rad², axes of the model's error frame; or
-    ///   `[batch, 21]` as [`Head::Full`] says
+    /// - returns: `[batch, outputs]` as [`Head`] says: first d or p, ln m² and ln rad², order ρ then φ, axes of the
+    ///   model's error frame
     pub fn forward(&self, pairs: &PairBatch) -> Tensor<2> {
-        let images = self.architecture.network_input(&self.warp, pairs);
-        let outputs = self.network.forward(images, self.architecture.pose_input(pairs));
-        let Some(floor) = self.architecture.log_variance_floor else { return outputs };
-        let floor = Tensor::<1>::from_floats(floor.map(|d| d as f32), &outputs.device());
-        let [batch, values] = outputs.dims();
-        let log_variance = floored(outputs.clone().slice([0..batch, 0..6]), floor.unsqueeze());
-        match values {
-            6 => log_variance,
-            values => Tensor::cat(vec![log_variance, outputs.slice([0..batch, 6..values])], 1),
+        let outputs = self.network.forward(self.architecture.network_input(&self.warp, pairs));
+        let log_variance = |floor: &[f64; 6]| {
+            let floor = Tensor::<1>::from_floats(floor.map(|d| d as f32), &outputs.device());
+            floored(outputs.clone().narrow(1, 0, COMPONENTS), floor.unsqueeze())
+        };
+        let first = self.architecture.log_variance_floor.as_ref().map(log_variance);
+        let first = first.unwrap_or_else(|| outputs.clone().narrow(1, 0, COMPONENTS));
+        let more = self.architecture.head.outputs() - COMPONENTS;
+        match self.architecture.head {
+            Head::Diagonal => first,
+            Head::Full => Tensor::cat(vec![first, outputs.narrow(1, COMPONENTS, more)], 1),
+            Head::Posterior => {
+                // Residuals of neighbouring pixels are never worth more than independent ones.
+                let no_less = Tensor::zeros([1, more], &outputs.device());
+                Tensor::cat(vec![first, floored(outputs.narrow(1, COMPONENTS, more), no_less)], 1)
+            }
         }
     }
 
-    /// Outputs as [`CovarianceModel::forward`] gives them, and the loss of each pair (paper Eq. 7), `[batch]`.
-    pub fn forward_loss(&self, pairs: &PairBatch) -> (Tensor<2>, Tensor<1>) {
+    /// Outputs as [`CovarianceModel::forward`] gives them, and the loss of each pair (paper Eq. 7, or that of
+    /// posteriors), `[batch]`.
+    pub fn forward_loss(&self, pairs: &PairBatch, corrected_share: f64) -> (Tensor<2>, Tensor<1>) {
         let outputs = self.forward(pairs);
-        let error = self.architecture.head.decorrelate(&outputs, pairs.error.clone(), &self.sigma);
-        let batch = pairs.len();
-        let loss = gaussian_loss(outputs.clone().slice([0..batch, 0..6]), error);
+        let head = self.architecture.head;
+        let loss = match head {
+            Head::Diagonal | Head::Full => {
+                let error = head.decorrelate(&outputs, pairs.error.clone(), &self.sigma);
+                gaussian_loss(outputs.clone().narrow(1, 0, COMPONENTS), error)
+            }
+            Head::Posterior => {
+                let evidence = pairs.evidence.as_ref().expect("a model with evidence is given it");
+                let evidence =
+                    EvidenceTensors { estimate: evidence.estimate.clone(), information: evidence.information.clone() };
+                let scored = PosteriorTensors::new(&outputs, &evidence, pairs.error.clone(), &self.sigma);
+                posterior_loss(scored.log_determinant, scored.whitened_mean, scored.whitened_rest, corrected_share)
+            }
+        };
         (outputs, loss)
     }
 
-    /// The covariances that rows of outputs stand for, m² and rad².
+    /// What rows of outputs and the evidence of their pairs stand for.
     ///
     /// # Errors
     /// An output is not finite, or a variance is too small or too large for a number: the weights are not usable.
-    pub fn covariances(&self, outputs: &[f64]) -> Result<Vec<Covariance6>> {
-        let head = self.architecture.head;
-        let covariance = |row: &[f64]| {
-            let covariance = head.covariance(row, &self.sigma);
-            if covariance.is_positive() {
-                return Ok(covariance);
+    pub fn estimates(&self, outputs: &[f64], evidence: &[Option<Evidence>]) -> Result<Vec<Estimate>> {
+        let rows = outputs.chunks_exact(self.architecture.head.outputs());
+        assert_eq!(rows.len(), evidence.len(), "one evidence, or none, a row of outputs");
+        rows.zip(evidence).map(|(row, evidence)| self.estimate(row, evidence.as_ref())).collect()
+    }
+
+    fn estimate(&self, row: &[f64], evidence: Option<&Evidence>) -> Result<Estimate> {
+        let no_verdict = evidence.and_then(|evidence| evidence.no_verdict);
+        let estimate = match self.architecture.head {
+            head @ (Head::Diagonal | Head::Full) => {
+                Estimate { covariance: head.covariance(row, &self.sigma), posterior: None, no_verdict }
             }
-            let variances: Vec<String> = covariance.variance().iter().map(|value| format!("{value:.3e}")).collect();
-            let found = variances.join(", ");
-            Err(Error::Data(format!("the model predicts the variances {found}; its weights are not usable")))
+            Head::Posterior => {
+                let (estimate, information) = evidence.expect("a model with evidence is given it").judged();
+                let posterior = posterior(row, &estimate, &information).ok_or_else(|| unusable(row))?;
+                Estimate { covariance: posterior.second_moment(), posterior: Some(posterior), no_verdict }
+            }
         };
-        outputs.chunks_exact(head.outputs()).map(covariance).collect()
+        let narrowest = estimate.posterior.map_or(estimate.covariance, |posterior| posterior.covariance);
+        match narrowest.is_positive() && estimate.covariance.is_positive() {
+            true => Ok(estimate),
+            false => Err(unusable(narrowest.variance().as_slice())),
+        }
     }
 
     /// The network behind the warp.
     pub fn network(&self) -> &CovarianceNetwork {
         &self.network
     }
+}
+
+/// What a model says of a measurement.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Estimate {
+    /// R, m² and rad²: of the measurement as it is.
+    pub covariance: Covariance6,
+    /// What is known of the error itself, of a model with a posterior head.
+    pub posterior: Option<Posterior>,
+    /// Why the images say nothing of this error, where they do not: the covariance is then the prior's.
+    pub no_verdict: Option<NoVerdict>,
+}
+
+fn unusable(found: &[f64]) -> Error {
+    let found: Vec<String> = found.iter().map(|value| format!("{value:.3e}")).collect();
+    let found = found.join(", ");
+    Error::Data(format!("the model predicts the variances {found}; its weights are not usable"))
 }
 
 /// A part of a mini-batch that fits memory, with its share in the batch's mean loss.
@@ -155,6 +224,8 @@ pub struct MicroBatch {
     pub pairs: PairBatch,
     /// One over the number of pairs of the whole mini-batch.
     pub weight: f32,
+    /// `training.corrected_share`.
+    pub corrected_share: f64,
 }
 
 /// What a step reports, for each pair of its batch.
@@ -177,18 +248,8 @@ impl TrainStep for CovarianceModel {
     type Output = PairOutputs;
 
     fn step(&self, batch: MicroBatch) -> TrainOutput<PairOutputs> {
-        let (outputs, loss) = self.forward_loss(&batch.pairs);
+        let (outputs, loss) = self.forward_loss(&batch.pairs, batch.corrected_share);
         let gradients = (loss.clone().sum() * batch.weight).backward();
         TrainOutput::new(self, gradients, PairOutputs { outputs: outputs.inner(), loss: loss.inner() })
-    }
-}
-
-impl InferenceStep for CovarianceModel {
-    type Input = PairBatch;
-    type Output = PairOutputs;
-
-    fn step(&self, pairs: PairBatch) -> PairOutputs {
-        let (outputs, loss) = self.forward_loss(&pairs);
-        PairOutputs { outputs, loss }
     }
 }

@@ -59,6 +59,14 @@ impl Evidence {
         &self.levels[LEVELS - 1]
     }
 
+    /// ê and Λ of the finest level; both zero without a verdict.
+    pub fn judged(&self) -> (Tangent, Matrix6<f64>) {
+        match self.no_verdict {
+            None => (self.finest().error, self.finest().information),
+            Some(_) => (Tangent::zeros(), Matrix6::zeros()),
+        }
+    }
+
     /// The same in other axes: `ê' = Ad ê`, `Λ' = Ad⁻ᵀ Λ Ad⁻¹`.
     pub fn transported(&self, other_from_self: &Pose) -> Self {
         let adjoint = other_from_self.adjoint();

@@ -219,9 +219,10 @@ fn pyramid(source: &GreyImage, target: &GreyImage, depth_m: &[f32], camera: &Pin
 }
 
 fn shows_anything(image: &Textured) -> bool {
-    let squares = image.pixels.iter().map(|[_, along_row, along_column, _]| {
-        f64::from(along_row * along_row + along_column * along_column)
-    });
+    let squares = image
+        .pixels
+        .iter()
+        .map(|[_, along_row, along_column, _]| f64::from(along_row * along_row + along_column * along_column));
     (squares.sum::<f64>() / image.pixels.len() as f64).sqrt() > LEAST_GRADIENT
 }
 

@@ -191,7 +191,9 @@ fn information_is_the_curvature_of_the_cost() {
         .collect();
     let weights: Vec<f32> = residuals_at(&Tangent::zeros())
         .iter()
-        .map(|r| (normal_equations::DEGREES_OF_FREEDOM + 1.0) / (normal_equations::DEGREES_OF_FREEDOM + (r / scale).powi(2)))
+        .map(|r| {
+            (normal_equations::DEGREES_OF_FREEDOM + 1.0) / (normal_equations::DEGREES_OF_FREEDOM + (r / scale).powi(2))
+        })
         .collect();
     let sum = |a: &dyn Fn(usize) -> f32, b: &dyn Fn(usize) -> f32| -> f64 {
         let terms = (0..points.known).map(|k| f64::from(weights[k] * a(k) * b(k)));

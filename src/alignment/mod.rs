@@ -8,6 +8,7 @@
 //! Leaves to others: how far the estimate may be trusted (`network` learns it), and the warp that the network sees.
 
 mod evidence;
+mod features;
 mod gauss_newton;
 mod image;
 #[cfg(test)]
@@ -15,5 +16,6 @@ mod laws;
 mod normal_equations;
 
 pub use evidence::{Evidence, LEVELS, LevelEvidence, NoVerdict};
+pub use features::{FEATURES, features};
 pub use gauss_newton::{AlignmentInput, align};
 pub use image::GreyImage;

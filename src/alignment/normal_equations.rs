@@ -21,7 +21,7 @@ const PRODUCTS: usize = COLUMNS * (COLUMNS + 1) / 2;
 /// Degrees of freedom of Student's t, which residuals of real images follow (Kerl, Sturm and Cremers 2013).
 pub(super) const DEGREES_OF_FREEDOM: f32 = 5.0;
 /// Standardised residuals from here on have no weight: things that move, or that one view hides.
-const OUTLIER: f32 = 4.0;
+const OUTLIER: f32 = 3.0;
 /// Least depth in the source camera, m.
 const MIN_DEPTH_M: f32 = 1e-3;
 
@@ -106,11 +106,7 @@ pub(super) fn normal_equations(
         let (row, column) = (row.min(column), row.max(column));
         products[row * COLUMNS - row * (row + 1) / 2 + column]
     };
-    NormalEquations {
-        hessian: SMatrix::from_fn(at),
-        gradient: SVector::from_fn(|row, _| at(row, UNKNOWNS)),
-        valid,
-    }
+    NormalEquations { hessian: SMatrix::from_fn(at), gradient: SVector::from_fn(|row, _| at(row, UNKNOWNS)), valid }
 }
 
 /// The scale of residuals under Student's t: the fixed point of `σ² = mean (ν+1) r² / (ν + r²/σ²)` (Kerl et al. 2013,

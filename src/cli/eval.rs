@@ -188,7 +188,7 @@ pub fn predict_table(
     let predict = |split: SplitName, reader: &Arc<PairReader>| -> Result<Vec<Prediction>, Error> {
         let pairs = dataset.require(split)?;
         let mut progress = Progress::new(terminal.quiet, "evaluating", 0, pairs.pairs.len());
-        predict_split(&model, reader, pairs, &config.training, &device, &mut |done| {
+        predict_split(&model, reader, pairs, manifest.architecture.images(), &config.training, &device, &mut |done| {
             progress.set(done, "pairs");
             Ok(())
         })

@@ -130,6 +130,8 @@ fn fit_to_run(mut config: Config, manifest: &Manifest) -> Result<Config, Error> 
         validity_mask: architecture.validity_mask,
         stereo: architecture.stereo,
         pose: architecture.pose,
+        evidence: architecture.evidence,
+        network: architecture.network,
         head: architecture.head,
         dropout: architecture.dropout,
         min_log_variance: architecture.log_variance_floor.map_or(MinLogVariance::Off, MinLogVariance::Absolute),

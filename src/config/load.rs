@@ -108,6 +108,8 @@ impl Config {
             training: TrainingConfig {
                 batch: self.training.batch,
                 batches_per_epoch: self.training.batches_per_epoch,
+                evidence_epochs: self.training.evidence_epochs,
+                corrected_share: self.training.corrected_share,
                 watch: self.training.watch,
                 watch_system: self.training.watch_system.clone(),
                 ..defaults

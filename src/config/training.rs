@@ -19,6 +19,12 @@ pub struct TrainingConfig {
     /// Mini-batches in an epoch. Default: until the first system's pairs were seen once.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub batches_per_epoch: Option<usize>,
+    /// Epochs at the start in which a network that has evidence is shown that alone; images join afterwards. Evidence
+    /// is learned a hundred times faster. Default: 0.
+    pub evidence_epochs: usize,
+    /// With `model.head = "posterior"`: the share of the corrected error's likelihood, `e ~ N(μ, C)`, in the loss; the
+    /// rest is that of the error itself, `e ~ N(0, R)`. Default: 0.5.
+    pub corrected_share: f64,
     /// Which pairs the stop rule and the best checkpoint watch. Default: validation. `test` is the
     /// paper's way, and leaks.
     pub watch: WatchedSplit,
@@ -45,6 +51,8 @@ impl Default for TrainingConfig {
             schedule: Schedule::default(),
             epochs: 100,
             batches_per_epoch: None,
+            evidence_epochs: 0,
+            corrected_share: 0.5,
             watch: WatchedSplit::default(),
             watch_system: None,
             stop: StopConfig::default(),

@@ -1,12 +1,19 @@
 //! What a configuration must satisfy beyond its types.
 
-use super::{Config, DataConfig, DepthConfig, DepthTrainingConfig, DriveConfig, MinLogVariance, NetworkDepthConfig};
+use super::{
+    Config, DataConfig, DepthConfig, DepthTrainingConfig, DriveConfig, MinLogVariance, ModelConfig, NetworkDepthConfig,
+    PerturbationConfig, SystemSource,
+};
 use crate::depth::monodepth2::{MOST_SIZE, SIZE_STEP, is_input_size};
 use crate::depth::{DepthRange, ScaleRule};
 use crate::error::{Error, Result};
 use crate::files::is_plain;
-use crate::model::ImagePair;
+use crate::model::{EvidenceInput, ImagePair, PoseInput};
+use crate::network::{Head, ImageNetwork};
 use crate::synthetic::{SyntheticSettings, drive_name};
+
+/// Least smaller side of images that are aligned, px; the larger one is twice that.
+const LEAST_ALIGNED: usize = 16;
 
 impl Config {
     /// Checks values against each other.
@@ -106,6 +113,18 @@ impl Config {
             "none is given; add [[systems]] with name, share and source".to_owned()
         })?;
         for (index, system) in self.systems.iter().enumerate() {
+            let SystemSource::Perturbation(PerturbationConfig { base }) = &system.source else { continue };
+            let key = format!("systems.{index}.base");
+            let positive = base.iter().flatten().all(|&size| size.is_finite() && size > 0.0);
+            require(positive, &key, || format!("{base:?} must be positive sizes of errors, m and rad"))?;
+            let measured = self.systems.iter().any(|other| {
+                other.share > 0.0 && !matches!(other.source, SystemSource::Truth {} | SystemSource::Perturbation(_))
+            });
+            require(measured || base.is_some(), &key, || {
+                "no other system is learned from whose errors could tell the size; give six sizes, m and rad".to_owned()
+            })?;
+        }
+        for (index, system) in self.systems.iter().enumerate() {
             let key = format!("systems.{index}.share");
             require((0.0..=1.0).contains(&system.share), &key, || format!("{} is not in [0, 1]", system.share))?;
             require(index > 0 || system.share > 0.0, &key, || "the first system must be learned from".to_owned())?;
@@ -184,6 +203,7 @@ impl Config {
         require(masked, "model.validity_mask", || {
             "a raw pair has no validity; set model.pair = \"warped\"".to_owned()
         })?;
+        self.validate_evidence()?;
         let dropout = self.model.dropout;
         require((0.0..1.0).contains(&dropout), "model.dropout", || format!("{dropout} is not in [0, 1)"))?;
         let key = "model.min_log_variance";
@@ -197,6 +217,28 @@ impl Config {
                 require(fine, key, || format!("absolute = {values:?} must lie within ±80 (ln m², ln rad²)"))
             }
         }
+    }
+
+    fn validate_evidence(&self) -> Result<()> {
+        let ModelConfig { evidence, network, head, pose, stereo, width, height, .. } = self.model;
+        let known = evidence == EvidenceInput::Alignment;
+        require(known || network == ImageNetwork::TableOne, "model.network", || {
+            "`none` leaves nothing to see; set model.evidence = \"alignment\"".to_owned()
+        })?;
+        require(known || head != Head::Posterior, "model.head", || {
+            "`posterior` needs evidence; set model.evidence = \"alignment\"".to_owned()
+        })?;
+        let pose_known = network == ImageNetwork::TableOne || pose == PoseInput::None;
+        require(pose_known, "model.pose", || {
+            "`mlp` stands beside images; evidence knows the measured motion, so leave it out".to_owned()
+        })?;
+        require(network == ImageNetwork::TableOne || !stereo, "model.stereo", || {
+            "without Table I nothing looks at the right camera".to_owned()
+        })?;
+        let large = width.min(height) >= LEAST_ALIGNED && width.max(height) >= 2 * LEAST_ALIGNED;
+        require(!known || large, "model.evidence", || {
+            format!("`alignment` needs images of at least {}x{LEAST_ALIGNED} pixels", 2 * LEAST_ALIGNED)
+        })
     }
 
     fn validate_training(&self) -> Result<()> {
@@ -219,6 +261,10 @@ impl Config {
         {
             require(value <= most, &format!("training.{key}"), || format!("{value} is more than {most}"))?;
         }
+        let alone = training.evidence_epochs == 0 || self.model.evidence == EvidenceInput::Alignment;
+        require(alone, "training.evidence_epochs", || "needs model.evidence = \"alignment\"".to_owned())?;
+        let share = training.corrected_share;
+        require((0.0..=1.0).contains(&share), "training.corrected_share", || format!("{share} is not in [0, 1]"))?;
         let rate = training.learning_rate;
         require(rate.is_finite() && rate > 0.0, "training.learning_rate", || format!("{rate} is not positive"))?;
         let tolerance = training.stop.tolerance;

@@ -3,11 +3,13 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use nalgebra::Vector6;
 use sha2::{Digest, Sha256};
 
 use super::drive::Drive;
+use super::generated::generate;
 use super::pairing::Pairing;
 use crate::config::{
     Config, DepthConfig, DriveConfig, RelativeConfig, SystemConfig, SystemSource, TruthConfig, WatchedSplit,
@@ -16,6 +18,7 @@ use crate::depth::DepthCache;
 use crate::error::{Error, Result};
 use crate::geometry::{Covariance6, Pose, Tangent};
 use crate::synthetic::{SYSTEMS, is_synthetic};
+use crate::systems::Perturbation;
 
 /// What an experiment works with.
 #[derive(Clone, Debug)]
@@ -87,8 +90,32 @@ pub struct Pair {
     pub error: Tangent,
     /// `log ⁱT̂ᵢ₊₁` in vehicle axes, m and rad: what baselines know of a measurement.
     pub motion: Tangent,
+    /// Axes of the errors from those of camera 2, where and when the measurement was made.
+    pub errors_from_camera: Pose,
+    /// What generates the measurement, where it is no system's.
+    pub generated: Option<Arc<Perturbation>>,
     /// Covariance of the error that the measurement states, in the error frame: the true one in simulated data.
     pub stated_covariance: Option<Covariance6>,
+}
+
+impl Pair {
+    /// Measured `ⁱT̂ᵢ₊₁` (axes of camera 2, m) and its error; of a generated measurement those of a draw, where one is
+    /// asked for.
+    pub fn measured(&self, draw: Option<usize>) -> (Pose, Tangent) {
+        match (&self.generated, draw) {
+            (Some(perturbation), Some(draw)) => {
+                let error = perturbation.draw(self.id, draw);
+                (self.wrong_by(&error), error)
+            }
+            _ => (self.source_from_target, self.error),
+        }
+    }
+
+    /// The pose that a measurement with this error would have: `exp(e) exp(−e₀) T̂₀`.
+    pub(super) fn wrong_by(&self, error: &Tangent) -> Pose {
+        let change = Pose::exp(error) * Pose::exp(&-self.error);
+        change.conjugated_by(&self.errors_from_camera.inverse()) * self.source_from_target
+    }
 }
 
 /// Two frames of a drive.
@@ -174,6 +201,9 @@ impl Dataset {
             if held_out { hold_out(train, config.data.validation_fraction) } else { (train, validation) };
         let systems = config.systems.len();
         let drives = pairing.into_drives();
+        let mut splits = [train, validation, test];
+        generate(config, &drives, &mut splits)?;
+        let [train, validation, test] = splits;
         let depth = network.map(|network| DepthCache::of(network).require(network, &drives)).transpose()?;
         let dataset = Self {
             root: config.data.root.clone(),
@@ -306,6 +336,12 @@ impl Split {
         let start = |system| pairs.partition_point(|pair: &Pair| pair.system < system);
         let ranges = (0..systems).map(|system| start(system)..start(system + 1)).collect();
         Self { name, systems: ranges, pairs }
+    }
+
+    /// The pairs of some systems alone; others are there and have none.
+    pub fn of_systems(&self, wanted: impl Fn(usize) -> bool) -> Self {
+        let pairs = self.pairs.iter().filter(|pair| wanted(pair.system)).cloned().collect();
+        Self::new(self.name, pairs, self.systems.len())
     }
 
     /// The pairs of one system.

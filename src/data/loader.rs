@@ -9,17 +9,29 @@ use std::thread::JoinHandle;
 use rayon::ThreadPoolBuilder;
 use rayon::prelude::*;
 
-use super::batch::PairNumbers;
+use super::batch::{Images, PairNumbers};
 use super::dataset::Pair;
 use super::reader::{PairReader, PairSample};
+use crate::alignment::Evidence;
 use crate::config::TrainingConfig;
 use crate::error::{Error, Result};
+
+/// A batch to read.
+#[derive(Clone, Debug)]
+pub struct Request {
+    /// Its pairs.
+    pub choices: Vec<Choice>,
+    /// Whether their images are laid out, or their evidence alone.
+    pub images: Images,
+}
 
 /// A pair to read, and what to do when it cannot be read.
 #[derive(Clone, Debug)]
 pub struct Choice {
     /// Index of the pair.
     pub pair: usize,
+    /// Which draw of a generated measurement; `None`: that of the data set. Others are as they were measured.
+    pub draw: Option<usize>,
     /// Pairs that may stand in for it, the next readable one after it; none: it is left out.
     pub substitutes: Option<Range<usize>>,
 }
@@ -31,6 +43,8 @@ pub struct LoadedBatch {
     pub pairs: Vec<usize>,
     /// Their numbers; `None` when every pair was left out.
     pub numbers: Option<PairNumbers>,
+    /// Their evidence, where the reader makes any.
+    pub evidence: Vec<Option<Evidence>>,
     /// Whether no pair was left out.
     pub complete: bool,
 }
@@ -50,7 +64,7 @@ impl BatchLoader {
     pub fn spawn(
         reader: Arc<PairReader>,
         pairs: Arc<Vec<Pair>>,
-        requests: impl Iterator<Item = Vec<Choice>> + Send + 'static,
+        requests: impl Iterator<Item = Request> + Send + 'static,
         training: &TrainingConfig,
     ) -> Result<Self> {
         let failed = |error: &dyn std::fmt::Display| Error::Training(format!("cannot start loader threads: {error}"));
@@ -99,13 +113,13 @@ impl Drop for BatchLoader {
     }
 }
 
-fn load(reader: &PairReader, pairs: &[Pair], request: &[Choice]) -> Result<LoadedBatch> {
+fn load(reader: &PairReader, pairs: &[Pair], request: &Request) -> Result<LoadedBatch> {
     let read: Vec<Option<(usize, PairSample)>> =
-        request.par_iter().map(|choice| read_choice(reader, pairs, choice)).collect::<Result<_>>()?;
+        request.choices.par_iter().map(|choice| read_choice(reader, pairs, choice)).collect::<Result<_>>()?;
     let (pairs, samples): (Vec<usize>, Vec<PairSample>) = read.into_iter().flatten().unzip();
-    let numbers = (!samples.is_empty()).then(|| PairNumbers::new(&samples));
-    let complete = pairs.len() == request.len();
-    Ok(LoadedBatch { pairs, numbers, complete })
+    let numbers = (!samples.is_empty()).then(|| PairNumbers::new(&samples, request.images));
+    let complete = pairs.len() == request.choices.len();
+    Ok(LoadedBatch { pairs, numbers, evidence: samples.into_iter().map(|sample| sample.evidence).collect(), complete })
 }
 
 fn read_choice(reader: &PairReader, pairs: &[Pair], choice: &Choice) -> Result<Option<(usize, PairSample)>> {
@@ -114,7 +128,7 @@ fn read_choice(reader: &PairReader, pairs: &[Pair], choice: &Choice) -> Result<O
         Some(range) => Box::new((choice.pair..range.end).chain(range.start..choice.pair)),
     };
     for candidate in candidates {
-        if let Some(sample) = reader.read(&pairs[candidate])? {
+        if let Some(sample) = reader.read_drawn(&pairs[candidate], choice.draw)? {
             return Ok(Some((candidate, sample)));
         }
     }

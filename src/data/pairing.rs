@@ -113,6 +113,8 @@ impl<'a> Pairing<'a> {
                     source_from_target,
                     error,
                     motion: measured_motion.log(),
+                    errors_from_camera: frame_from_vehicle * vehicle_from_camera2,
+                    generated: None,
                     stated_covariance: stated_covariance.map(|covariance| covariance.transported(&frame_from_body)),
                 });
             }

@@ -13,10 +13,12 @@ use quick_cache::sync::Cache;
 use super::dataset::{Dataset, Pair, PairId, SplitName};
 use super::drive::Drive;
 use super::image::RgbImage;
+use crate::alignment::{AlignmentInput, Evidence, GreyImage, align};
 use crate::config::{Config, DepthConfig};
 use crate::depth::{DepthMap, load_depth};
 use crate::error::{Error, Result};
 use crate::geometry::{Pinhole, Pose, Tangent};
+use crate::model::EvidenceInput;
 
 /// A pair ready for the network.
 #[derive(Clone, Debug)]
@@ -35,6 +37,23 @@ pub struct PairSample {
     pub error: Tangent,
     /// What the right camera saw, for models that look at it.
     pub right: Option<RightImages>,
+    /// What direct alignment says of e, in its axes, for models that ask.
+    pub evidence: Option<Evidence>,
+}
+
+impl PairSample {
+    /// Aligns the two images from the measured pose on; `errors_from_camera` are the axes of the errors.
+    pub fn align(&self, errors_from_camera: &Pose) -> Evidence {
+        let grey = |image: &RgbImage| GreyImage::from_rgb(image.width, image.height, &image.bytes);
+        let evidence = align(&AlignmentInput {
+            source_image: &grey(&self.source_image),
+            target_image: &grey(&self.target_image),
+            target_depth_m: &self.target_depth.depth_m,
+            camera: self.camera,
+            source_from_target: self.source_from_target,
+        });
+        evidence.transported(errors_from_camera)
+    }
 }
 
 /// The right camera's part of a pair.
@@ -66,6 +85,7 @@ pub struct PairReader {
     cameras: Vec<Pinhole>,
     depth: DepthConfig,
     stereo: bool,
+    evidence: EvidenceInput,
     frames: Cache<FrameKey, Frame, FrameWeighter>,
     bad_frames: Mutex<BTreeMap<FrameKey, String>>,
     max_bad_frames: f64,
@@ -114,6 +134,7 @@ impl PairReader {
             drives: dataset.drives.clone(),
             depth: config.depth.clone(),
             stereo: config.model.stereo,
+            evidence: config.model.evidence,
             frames: Cache::with_weighter((cache_bytes / typical_frame) as usize + 1, cache_bytes, FrameWeighter),
             bad_frames: Mutex::default(),
             max_bad_frames: max_bad_fraction * frames.len() as f64,
@@ -132,6 +153,14 @@ impl PairReader {
     /// # Errors
     /// More frames are bad than the configuration allows.
     pub fn read(&self, pair: &Pair) -> Result<Option<PairSample>> {
+        self.read_drawn(pair, None)
+    }
+
+    /// The same by another draw of a generated measurement.
+    ///
+    /// # Errors
+    /// As [`PairReader::read`].
+    pub fn read_drawn(&self, pair: &Pair, draw: Option<usize>) -> Result<Option<PairSample>> {
         let PairId { drive, source, target } = pair.id;
         let (source_key, target_key) = (FrameKey::Image(drive, source), FrameKey::Image(drive, target));
         let depth_key = FrameKey::Depth(drive, target);
@@ -152,15 +181,22 @@ impl PairReader {
             let right_from_left = self.drives[drive].calibration.camera3_from_camera2.expect("checked with the pairs");
             right = Some(RightImages { source_image, target_image, right_from_left });
         }
-        Ok(Some(PairSample {
+        let (source_from_target, error) = pair.measured(draw);
+        let camera = self.cameras[drive];
+        let mut sample = PairSample {
             source_image,
             target_image,
             target_depth,
-            camera: self.cameras[drive],
-            source_from_target: pair.source_from_target,
-            error: pair.error,
+            camera,
+            source_from_target,
+            error,
             right,
-        }))
+            evidence: None,
+        };
+        if self.evidence == EvidenceInput::Alignment {
+            sample.evidence = Some(sample.align(&pair.errors_from_camera));
+        }
+        Ok(Some(sample))
     }
 
     /// The frames that could not be read so far.

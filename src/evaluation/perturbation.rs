@@ -12,6 +12,7 @@ use crate::data::{Dataset, Pair, PairBatch, PairReader, PairSample, RightImages,
 use crate::error::Result;
 use crate::geometry::{ErrorFrame, Pose, Tangent};
 use crate::model::CovarianceModel;
+use crate::systems::standard_normal;
 use crate::training::Manifest;
 
 /// Images that are perturbed, and perturbations of each.
@@ -76,19 +77,24 @@ pub fn perturbation_response(
             .collect();
         let samples: Vec<PairSample> = perturbations
             .iter()
-            .map(|perturbation| PairSample {
-                source_image: sample.target_image.clone(),
-                right: sample
-                    .right
-                    .as_ref()
-                    .map(|right| RightImages { source_image: right.target_image.clone(), ..right.clone() }),
-                source_from_target: Pose::exp(perturbation).conjugated_by(&camera_from_frame),
-                ..sample.clone()
+            .map(|perturbation| {
+                let mut sample = PairSample {
+                    source_image: sample.target_image.clone(),
+                    right: sample
+                        .right
+                        .as_ref()
+                        .map(|right| RightImages { source_image: right.target_image.clone(), ..right.clone() }),
+                    source_from_target: Pose::exp(perturbation).conjugated_by(&camera_from_frame),
+                    ..sample.clone()
+                };
+                sample.evidence = sample.evidence.as_ref().map(|_| sample.align(&pair.errors_from_camera));
+                sample
             })
             .collect();
-        let covariances = model.covariances(&read_values(model.forward(&PairBatch::new(&samples, device)))?)?;
-        for (perturbation, covariance) in perturbations.iter().zip(covariances) {
-            let variance = covariance.variance();
+        let outputs = read_values(model.forward(&PairBatch::new(&samples, device)))?;
+        let evidence: Vec<_> = samples.into_iter().map(|sample| sample.evidence).collect();
+        for (perturbation, estimate) in perturbations.iter().zip(model.estimates(&outputs, &evidence)?) {
+            let variance = estimate.covariance.variance();
             let relative = |c: usize| (variance[c] / constant_variance[c]).sqrt();
             sigmas.push((0..6).map(|c| relative(c).ln()).sum::<f64>() / 6.0);
             sizes.push((0..6).map(|c| perturbation[c] * perturbation[c] / constant_variance[c]).sum::<f64>().sqrt());
@@ -113,10 +119,4 @@ pub fn perturbation_response(
         spearman_by_component: std::array::from_fn(|c| spearman(&components[c], &component_sigmas[c])),
         median_sigma_by_third: [0, 1, 2].map(third),
     }))
-}
-
-/// Box and Muller 1958.
-fn standard_normal(random: &mut ChaCha8Rng) -> f64 {
-    let radius = (-2.0 * (1.0 - random.random_range(0.0..1.0_f64)).ln()).sqrt();
-    radius * (std::f64::consts::TAU * random.random_range(0.0..1.0_f64)).cos()
 }

@@ -3,14 +3,13 @@
 use std::sync::Arc;
 
 use burn::tensor::{Device, Tensor};
-use burn::train::InferenceStep;
 
 use crate::alignment::NoVerdict;
 use crate::config::TrainingConfig;
-use crate::data::{BatchLoader, Choice, Pair, PairId, PairReader, Split};
+use crate::data::{BatchLoader, Choice, Images, Pair, PairId, PairReader, Request, Split};
 use crate::error::{Error, Result};
 use crate::geometry::{Covariance6, Posterior, Tangent};
-use crate::model::CovarianceModel;
+use crate::model::{CovarianceModel, Estimate};
 
 /// Outputs this close to their floor count as sitting on it, nats.
 const FLOOR_MARGIN: f64 = 0.1;
@@ -37,18 +36,29 @@ pub struct Prediction {
 }
 
 impl Prediction {
-    /// A prediction for a pair.
-    pub fn new(pair: &Pair, covariance: Covariance6) -> Self {
+    /// A constant's prediction for a pair.
+    pub fn constant(pair: &Pair, covariance: Covariance6) -> Self {
+        Self::new(pair, Estimate { covariance, posterior: None, no_verdict: None })
+    }
+
+    /// What a model says of a pair.
+    pub fn new(pair: &Pair, estimate: Estimate) -> Self {
+        let Estimate { covariance, posterior, no_verdict } = estimate;
         Self {
             pair: pair.id,
             system: pair.system,
             error: pair.error.into(),
             covariance,
-            posterior: None,
-            no_verdict: None,
+            posterior,
+            no_verdict,
             motion: pair.motion,
             stated_covariance: pair.stated_covariance,
         }
+    }
+
+    /// What the model said.
+    pub fn estimate(&self) -> Estimate {
+        Estimate { covariance: self.covariance, posterior: self.posterior, no_verdict: self.no_verdict }
     }
 
     /// The loss of this pair (paper Eq. 7): `ln det R + eᵀR⁻¹e`.
@@ -64,7 +74,7 @@ impl Prediction {
     }
 }
 
-/// Predicts every readable pair of a split, in order; `progress` is told how many are done and may
+/// Predicts every readable pair of a split, in order, with their images or by evidence alone; `progress` is told how many are done and may
 /// end it by an error.
 ///
 /// # Errors
@@ -73,6 +83,7 @@ pub fn predict_split(
     model: &CovarianceModel,
     reader: &Arc<PairReader>,
     split: &Split,
+    images: Images,
     loading: &TrainingConfig,
     device: &Device,
     progress: &mut dyn FnMut(usize) -> Result<()>,
@@ -80,8 +91,9 @@ pub fn predict_split(
     // Both systems look at the same images: side by side each is decoded once.
     let mut order: Vec<usize> = (0..split.pairs.len()).collect();
     order.sort_by_key(|&pair| (split.pairs[pair].id, split.pairs[pair].system));
-    let choices: Vec<Choice> = order.into_iter().map(|pair| Choice { pair, substitutes: None }).collect();
-    let requests: Vec<Vec<Choice>> = choices.chunks(loading.micro_batch).map(<[Choice]>::to_vec).collect();
+    let choices: Vec<Choice> = order.into_iter().map(|pair| Choice { pair, draw: None, substitutes: None }).collect();
+    let request = |choices: &[Choice]| Request { choices: choices.to_vec(), images };
+    let requests: Vec<Request> = choices.chunks(loading.micro_batch).map(request).collect();
     let pairs = Arc::new(split.pairs.clone());
     let batches = requests.len();
     let mut loader = BatchLoader::spawn(reader.clone(), pairs.clone(), requests.into_iter(), loading)?;
@@ -90,11 +102,10 @@ pub fn predict_split(
     for _ in 0..batches {
         let batch = loader.next_batch()?;
         let Some(numbers) = batch.numbers else { continue };
-        let outputs = read_values(InferenceStep::step(model, numbers.upload(device)).outputs)?;
-        let covariances = model.covariances(&outputs)?;
-        predictions.extend(
-            batch.pairs.iter().zip(covariances).map(|(&pair, covariance)| Prediction::new(&pairs[pair], covariance)),
-        );
+        let outputs = read_values(model.forward(&numbers.upload(device)))?;
+        let estimates = model.estimates(&outputs, &batch.evidence)?;
+        predictions
+            .extend(batch.pairs.iter().zip(estimates).map(|(&pair, estimate)| Prediction::new(&pairs[pair], estimate)));
         progress(predictions.len())?;
     }
     predictions.sort_by_key(|prediction| (prediction.system, prediction.pair));

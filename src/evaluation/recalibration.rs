@@ -5,7 +5,8 @@ use nalgebra::{Matrix6, Vector6};
 use serde::{Deserialize, Serialize};
 
 use super::prediction::Prediction;
-use crate::geometry::Covariance6;
+use crate::geometry::{Covariance6, Posterior};
+use crate::model::Estimate;
 
 /// No model is off by more, and its inverse.
 const LARGEST_FACTOR: f64 = 1e6;
@@ -48,6 +49,17 @@ impl Recalibration {
     /// Whether the factors leave a variance a variance.
     pub fn is_usable(&self) -> bool {
         self.factors.iter().all(|factor| (1.0 / LARGEST_FACTOR..=LARGEST_FACTOR).contains(factor))
+    }
+
+    /// The recalibrated estimate: factors are those of C where there is a posterior, and `R = C + μ μᵀ` follows.
+    pub fn recalibrate(&self, estimate: Estimate) -> Estimate {
+        match estimate.posterior {
+            None => Estimate { covariance: self.apply(&estimate.covariance), ..estimate },
+            Some(posterior) => {
+                let posterior = Posterior { covariance: self.apply(&posterior.covariance), ..posterior };
+                Estimate { covariance: posterior.second_moment(), posterior: Some(posterior), ..estimate }
+            }
+        }
     }
 
     /// The recalibrated covariance.

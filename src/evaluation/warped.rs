@@ -23,7 +23,7 @@ pub struct WarpedPair {
 /// # Errors
 /// The device failed.
 pub fn warp_pair(sample: &PairSample, device: &Device) -> Result<WarpedPair> {
-    let batch = PairBatch::new(std::slice::from_ref(sample), device);
+    let batch = PairBatch::new(std::slice::from_ref(sample), device).images.expect("included");
     let warped = Warp.forward(batch.source_image, batch.target_depth, batch.intrinsics, batch.source_from_target);
     let planes = read_values(warped.image)?;
     let valid: Vec<bool> = read_values(warped.valid_mask)?.into_iter().map(|value| value > 0.0).collect();

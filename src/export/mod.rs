@@ -25,8 +25,9 @@ mod trajectory;
 use clap::ValueEnum;
 use nalgebra::{Matrix6, UnitQuaternion};
 
+use crate::alignment::NoVerdict;
 use crate::error::{Error, Result};
-use crate::geometry::{Covariance6, ErrorFrame, Pose, ROTATION, TRANSLATION};
+use crate::geometry::{Covariance6, ErrorFrame, Pose, Posterior, ROTATION, TRANSLATION};
 
 pub use chain::Chain;
 pub(crate) use jsonl::JsonCovariance;
@@ -58,6 +59,11 @@ pub struct MeasuredMotion {
     pub source_from_target: Pose,
     /// Covariance of `log(T̂ T⁻¹)`, left, order ρ then φ, m² and rad², the same axes.
     pub covariance: Covariance6,
+    /// What is known of that error itself, the same axes; `None` of a model that does not say, and of a motion that was
+    /// corrected.
+    pub posterior: Option<Posterior>,
+    /// Why the images say nothing of this error, where they do not.
+    pub no_verdict: Option<NoVerdict>,
 }
 
 /// Form of the output.

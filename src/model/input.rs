@@ -4,7 +4,8 @@ use burn::tensor::Tensor;
 use serde::{Deserialize, Serialize};
 
 use super::Architecture;
-use crate::data::PairBatch;
+use crate::data::{ImageBatch, Images, PairBatch};
+use crate::network::{ImageNetwork, NetworkInput};
 use crate::warp::{Warp, Warped};
 
 /// Images lie in 0…1; the network sees them around 0.
@@ -48,6 +49,17 @@ pub enum PoseInput {
     Mlp,
 }
 
+/// Whether the network is told what direct alignment says of the measured pose's error.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum EvidenceInput {
+    /// No (the paper).
+    #[default]
+    Off,
+    /// By the photometric normal equations at the measured pose ([`crate::alignment`]).
+    Alignment,
+}
+
 impl Architecture {
     /// Channels of the network's input: three a picture, and one a validity mask.
     pub fn channels(&self) -> usize {
@@ -55,11 +67,35 @@ impl Architecture {
         3 + views * (3 + usize::from(self.validity_mask))
     }
 
+    /// Whether a batch for this model needs its images.
+    pub fn images(&self) -> Images {
+        match self.network {
+            ImageNetwork::TableOne => Images::Included,
+            ImageNetwork::None => Images::LeftOut,
+        }
+    }
+
+    /// All that the network sees of a batch.
+    pub(super) fn network_input(&self, warp: &Warp, pairs: &PairBatch) -> NetworkInput {
+        let images = pairs.images.as_ref().filter(|_| self.network == ImageNetwork::TableOne);
+        let evidence = match self.evidence {
+            EvidenceInput::Off => None,
+            EvidenceInput::Alignment => {
+                Some(pairs.evidence.as_ref().expect("a model with evidence is given it").features.clone())
+            }
+        };
+        NetworkInput {
+            motion: images.and_then(|_| self.pose_input(pairs)),
+            images: images.map(|images| self.images_input(warp, images)),
+            evidence,
+        }
+    }
+
     /// The target image, and everything to be compared with it, channel after channel.
-    pub(super) fn network_input(&self, warp: &Warp, pairs: &PairBatch) -> Tensor<4> {
-        let target = &pairs.target_image;
+    fn images_input(&self, warp: &Warp, images: &ImageBatch) -> Tensor<4> {
+        let target = &images.target_image;
         let mut channels = vec![target.clone() - IMAGE_MEAN];
-        for view in self.views(warp, pairs) {
+        for view in self.views(warp, images) {
             channels.push(match self.input {
                 InputBasis::Pair => view.image - IMAGE_MEAN,
                 InputBasis::Residual => (view.image - target.clone()) * view.valid_mask.clone() * RESIDUAL_GAIN,
@@ -74,7 +110,7 @@ impl Architecture {
     /// The source image; with stereo also the right camera's source and target image (the paper's
     /// footnote 1). Warped, all of them show what the target image shows: the right target by the
     /// calibration alone, so that it tells errors of the depth from those of the pose.
-    fn views(&self, warp: &Warp, pairs: &PairBatch) -> Vec<Warped> {
+    fn views(&self, warp: &Warp, pairs: &ImageBatch) -> Vec<Warped> {
         let see = |image: &Tensor<4>, pose: &Tensor<3>| match self.pair {
             ImagePair::Warped => {
                 warp.forward(image.clone(), pairs.target_depth.clone(), pairs.intrinsics.clone(), pose.clone())
@@ -94,7 +130,7 @@ impl Architecture {
     }
 
     /// The measured motion in units of an ordinary one, `[batch, 6]`; `None` when the network is not told.
-    pub(super) fn pose_input(&self, pairs: &PairBatch) -> Option<Tensor<2>> {
+    fn pose_input(&self, pairs: &PairBatch) -> Option<Tensor<2>> {
         match self.pose {
             PoseInput::None => None,
             PoseInput::Mlp => {

@@ -1,15 +1,19 @@
-//! What the last layer's outputs mean: a diagonal covariance, or a full one.
+//! What the last layer's outputs mean: a diagonal covariance, a full one, or a posterior.
 
 use burn::tensor::Tensor;
 use nalgebra::{Matrix6, Vector6};
 use serde::{Deserialize, Serialize};
 
-use crate::geometry::Covariance6;
+use crate::geometry::{Covariance6, Posterior, Tangent};
 
 /// Components of a pose error.
 const COMPONENTS: usize = 6;
 /// Entries below the diagonal of a 6x6 matrix.
 const BELOW_DIAGONAL: usize = COMPONENTS * (COMPONENTS - 1) / 2;
+
+/// Where q of [`Head::Posterior`] starts: residuals of neighbouring pixels are no independent numbers, and the
+/// information of evidence is some thirty times too large (docs/method.md).
+const INITIAL_DISTRUST: f64 = 3.4;
 
 /// Form of the predicted covariance.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -22,6 +26,11 @@ pub enum Head {
     /// then the rows of the unit lower triangular L below its diagonal. These are in units of the training
     /// set's standard deviations: `L[i][j] = l[i][j] σᵢ / σⱼ`.
     Full,
+    /// Twelve values, p and q: what the system is like, `e ~ N(0, D(exp(p)))`, and how far the evidence may be trusted,
+    /// `ê = e + n` with `n ~ N(0, D(exp(q/2)) Λ⁻¹ D(exp(q/2)))`. By Bayes' rule `C⁻¹ = D(exp(−p)) + M`, `μ = C M ê` with
+    /// `M = D(exp(−q/2)) Λ D(exp(−q/2))`, and `R = C + μ μᵀ`: full, positive definite by construction, and fine where
+    /// the evidence knows nothing of a direction.
+    Posterior,
 }
 
 impl Head {
@@ -30,7 +39,16 @@ impl Head {
         match self {
             Self::Diagonal => COMPONENTS,
             Self::Full => COMPONENTS + BELOW_DIAGONAL,
+            Self::Posterior => 2 * COMPONENTS,
         }
+    }
+
+    /// Outputs that stand for a covariance of these log-variances (with evidence: for a prior of these).
+    pub(super) fn initial_outputs(self, log_variance: [f64; COMPONENTS]) -> Vec<f32> {
+        let rest = if self == Self::Posterior { INITIAL_DISTRUST } else { 0.0 };
+        let mut outputs = log_variance.map(|d| d as f32).to_vec();
+        outputs.resize(self.outputs(), rest as f32);
+        outputs
     }
 
     /// `L⁻¹ e`, by forward substitution; components of it are independent under the prediction, with
@@ -42,8 +60,10 @@ impl Head {
     /// - `sigma`: of the training set, m and rad
     /// - returns: `[batch, 6]`, m and rad
     pub(crate) fn decorrelate(self, outputs: &Tensor<2>, error: Tensor<2>, sigma: &[f64; 6]) -> Tensor<2> {
-        if self == Self::Diagonal {
-            return error;
+        match self {
+            Self::Diagonal => return error,
+            Self::Full => {}
+            Self::Posterior => unreachable!("a posterior has evidence beside its outputs"),
         }
         let batch = error.dims()[0];
         let mut residuals: Vec<Tensor<2>> = Vec::with_capacity(COMPONENTS);
@@ -62,9 +82,10 @@ impl Head {
     /// The covariance that one row of outputs stands for, m² and rad²; `sigma` as in training.
     pub fn covariance(self, outputs: &[f64], sigma: &[f64; 6]) -> Covariance6 {
         assert_eq!(outputs.len(), self.outputs(), "one row of outputs");
+        assert!(self != Self::Posterior, "a posterior has evidence beside its outputs");
         let log_variance = Vector6::from_column_slice(&outputs[..COMPONENTS]);
         match self {
-            Self::Diagonal => Covariance6::from_log_variances(&log_variance),
+            Self::Diagonal | Self::Posterior => Covariance6::from_log_variances(&log_variance),
             Self::Full => {
                 let lower = Matrix6::from_fn(|row, column| match row.cmp(&column) {
                     std::cmp::Ordering::Less => 0.0,
@@ -77,6 +98,19 @@ impl Head {
             }
         }
     }
+}
+
+/// What one row of [`Head::Posterior`]'s outputs and the evidence of its pair say of the error: order ρ then φ, m and
+/// rad. `None` where the numbers have no inverse.
+pub fn posterior(outputs: &[f64], estimate: &Tangent, information: &Matrix6<f64>) -> Option<Posterior> {
+    assert_eq!(outputs.len(), Head::Posterior.outputs(), "one row of outputs");
+    let prior = Vector6::from_fn(|c, _| (-outputs[c]).exp());
+    let trust = Matrix6::from_diagonal(&Vector6::from_fn(|c, _| (-0.5 * outputs[COMPONENTS + c]).exp()));
+    let trusted = trust * information * trust;
+    let factor = (Matrix6::from_diagonal(&prior) + 0.5 * (trusted + trusted.transpose())).cholesky()?;
+    let covariance = factor.inverse();
+    let covariance = Covariance6::from_matrix(0.5 * (covariance + covariance.transpose())).ok()?;
+    Some(Posterior { mean: factor.solve(&(trusted * estimate)), covariance })
 }
 
 /// Place of an entry below the diagonal, row by row.

@@ -1,23 +1,27 @@
-//! The covariance-prediction network of the paper's Table I.
+//! The covariance-prediction network: the convolutions and layers of the paper's Table I, and what joins them.
 //!
-//! Images in, log-variances out. Knows nothing of poses, datasets or the loss.
+//! Images, pose and evidence in, numbers of a head out. Knows nothing of datasets or the loss.
 
+mod convolutions;
+mod evidence_encoder;
 mod head;
 mod pose_encoder;
+mod posterior;
 
 use burn::module::{Module, Param};
-use burn::nn::conv::{Conv2d, Conv2dConfig};
-use burn::nn::{Dropout, DropoutConfig, Initializer, Linear, LinearConfig, PaddingConfig2d};
+use burn::nn::{Initializer, Linear, LinearConfig};
 use burn::tensor::activation::relu;
 use burn::tensor::{Device, Tensor};
+use serde::{Deserialize, Serialize};
 
-use crate::kernels::{conv2d, linear, relu_dropout};
+use crate::kernels::linear;
+use convolutions::Convolutions;
+use evidence_encoder::EvidenceEncoder;
 use pose_encoder::PoseEncoder;
 
-pub use head::Head;
+pub use head::{Head, posterior};
+pub(crate) use posterior::{EvidenceTensors, PosteriorTensors};
 
-/// Table I: kernel size, stride and outputs of c1…c5.
-const CONVOLUTIONS: [(usize, usize, usize); 5] = [(5, 2, 64), (5, 2, 128), (3, 2, 256), (3, 2, 512), (3, 1, 1024)];
 /// Table I: outputs of fc1.
 const HIDDEN_UNITS: usize = 128;
 /// Log-variances, the first outputs of fc2.
@@ -27,13 +31,28 @@ const COMPONENTS: usize = 6;
 /// Burn draws biases from the same law, where He's are zero.
 const HE_UNIFORM: Initializer = Initializer::KaimingUniform { gain: std::f64::consts::SQRT_2, fan_out_only: false };
 
+/// Which network looks at the images.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ImageNetwork {
+    /// c1…c5 of Table I (the paper).
+    #[default]
+    TableOne,
+    /// None: the evidence alone is the model, some ten thousand weights.
+    None,
+}
+
 /// Shape of a [`CovarianceNetwork`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct CovarianceNetworkConfig {
+    /// What looks at the images.
+    pub network: ImageNetwork,
     /// Channels of the concatenated images: 6 for two colour images.
     pub channels: usize,
-    /// Whether the measured pose is an input too.
+    /// Whether the measured pose is an input too; only beside images.
     pub pose: bool,
+    /// Features of the evidence of a pair, where it is an input.
+    pub evidence: Option<usize>,
     /// What fc2 puts out.
     pub head: Head,
     /// Input height, px.
@@ -49,80 +68,110 @@ pub struct CovarianceNetworkConfig {
 /// Departures, where the paper is silent: ReLU after every layer but the last, zero padding of half
 /// the kernel, dropout after the activation of each convolution, He's initialisation (under that of
 /// PyTorch's layers the differences between images fade through seven layers, and learning starts
-/// late).
+/// late). Beyond the paper: evidence of a pair may join fc1, or take the place of the images.
 #[derive(Module, Debug)]
 pub struct CovarianceNetwork {
-    c1: Conv2d,
-    c2: Conv2d,
-    c3: Conv2d,
-    c4: Conv2d,
-    c5: Conv2d,
-    fc1: Linear,
+    convolutions: Option<Convolutions>,
+    fc1: Option<Linear>,
     fc2: Linear,
-    dropout: Dropout,
     pose_encoder: Option<PoseEncoder>,
+    evidence_encoder: Option<EvidenceEncoder>,
 }
 
 impl CovarianceNetworkConfig {
+    /// Table I for images of this size, as the paper has it.
+    pub fn table_one(channels: usize, height: usize, width: usize) -> Self {
+        Self {
+            network: ImageNetwork::TableOne,
+            channels,
+            pose: false,
+            evidence: None,
+            head: Head::Diagonal,
+            height,
+            width,
+            dropout: 0.5,
+        }
+    }
+
     /// Builds the network with random weights; the last layer starts as a constant.
     ///
-    /// fc2 has zero weights and the bias `initial_log_variance`, so that the first prediction for
-    /// every pair is the covariance of the training set.
+    /// fc2 has zero weights and the bias that stands for `initial_log_variance` ([`Head::initial_outputs`]), so that
+    /// the first prediction for every pair is the covariance of the training set. Beside evidence, images start without
+    /// a say: fc1 is zero.
     pub fn init(&self, initial_log_variance: [f64; COMPONENTS], device: &Device) -> CovarianceNetwork {
-        let mut channels = self.channels;
-        let [c1, c2, c3, c4, c5] = CONVOLUTIONS.map(|(kernel, stride, outputs)| {
-            let inputs = std::mem::replace(&mut channels, outputs);
-            let pad = kernel / 2;
-            Conv2dConfig::new([inputs, outputs], [kernel, kernel])
-                .with_stride([stride, stride])
-                .with_padding(PaddingConfig2d::Explicit(pad, pad, pad, pad))
-                .with_initializer(HE_UNIFORM)
-                .init(device)
-        });
+        let with_images = self.network == ImageNetwork::TableOne;
+        assert!(with_images || self.evidence.is_some(), "a network sees images, evidence or both");
+        assert!(with_images || !self.pose, "a pose stands beside images");
         let outputs = self.head.outputs();
         let mut fc2 = LinearConfig::new(HIDDEN_UNITS, outputs).init(device);
-        fc2.weight = Param::from_tensor(Tensor::zeros([HIDDEN_UNITS, outputs], device)).set_require_grad(true);
-        let mut bias = initial_log_variance.map(|d| d as f32).to_vec();
-        bias.resize(outputs, 0.0);
+        fc2.weight = zeros([HIDDEN_UNITS, outputs], device);
+        let bias: Vec<f32> = self.head.initial_outputs(initial_log_variance);
         fc2.bias = Some(Param::from_tensor(Tensor::<1>::from_floats(bias.as_slice(), device)).set_require_grad(true));
+        let convolutions = with_images.then(|| Convolutions::init(self.channels, self.dropout, device));
         let pose_encoder = self.pose.then(|| PoseEncoder::init(device));
-        let features = self.features() + if self.pose { pose_encoder::UNITS } else { 0 };
-        CovarianceNetwork {
-            c1,
-            c2,
-            c3,
-            c4,
-            c5,
-            fc1: LinearConfig::new(features, HIDDEN_UNITS).with_initializer(HE_UNIFORM).init(device),
-            fc2,
-            dropout: DropoutConfig::new(self.dropout).init(),
-            pose_encoder,
-        }
+        let fc1 = with_images.then(|| {
+            let features = self.features() + if self.pose { pose_encoder::UNITS } else { 0 };
+            let mut fc1 = LinearConfig::new(features, HIDDEN_UNITS).with_initializer(HE_UNIFORM).init(device);
+            if self.evidence.is_some() {
+                fc1.weight = zeros([features, HIDDEN_UNITS], device);
+                fc1.bias = Some(zeros([HIDDEN_UNITS], device));
+            }
+            fc1
+        });
+        let evidence_encoder = self.evidence.map(|features| EvidenceEncoder::init(features, HIDDEN_UNITS, device));
+        CovarianceNetwork { convolutions, fc1, fc2, pose_encoder, evidence_encoder }
     }
 
     /// Values that reach fc1 from the images: outputs of c5 times its height and width.
     pub fn features(&self) -> usize {
-        let size = |input: usize| {
-            CONVOLUTIONS
-                .iter()
-                .fold(input, |size, &(kernel, stride, _)| (size + 2 * (kernel / 2) - kernel) / stride + 1)
-        };
-        let (_, _, outputs) = CONVOLUTIONS[CONVOLUTIONS.len() - 1];
-        outputs * size(self.height) * size(self.width)
+        convolutions::features(self.height, self.width)
     }
+}
+
+/// Weights that start at zero.
+fn zeros<const D: usize>(shape: [usize; D], device: &Device) -> Param<Tensor<D>> {
+    Param::from_tensor(Tensor::zeros(shape, device)).set_require_grad(true)
+}
+
+/// What a [`CovarianceNetwork`] sees of a batch; as it was configured.
+#[derive(Clone, Debug, Default)]
+pub struct NetworkInput {
+    /// `[batch, channels, height, width]`. A network that has evidence may be shown that alone: before its images had
+    /// a say they change nothing.
+    pub images: Option<Tensor<4>>,
+    /// `[batch, 6]`, the measured motion, about 1 in size.
+    pub motion: Option<Tensor<2>>,
+    /// `[batch, features]`, of the evidence, about 1 in size.
+    pub evidence: Option<Tensor<2>>,
 }
 
 impl CovarianceNetwork {
     /// Predicts covariances.
     ///
     /// # Shapes
-    /// - `images`: `[batch, channels, height, width]`
-    /// - `motion`: `[batch, 6]`, for a network that was configured with a pose input
-    /// - returns: `[batch, 6]`, d; order ρ then φ, ln m² and ln rad²; or `[batch, 21]` as [`Head::Full`] says
-    pub fn forward(&self, images: Tensor<4>, motion: Option<Tensor<2>>) -> Tensor<2> {
-        let features = self.convolutions().into_iter().fold(images, |images, layer| self.layer(layer, images));
-        let features = self.with_pose(features.flatten::<2>(1, 3), motion);
-        self.fc2.forward(relu(linear(&self.fc1, features)))
+    /// - returns: `[batch, 6]`, d; order ρ then φ, ln m² and ln rad²; or as [`Head`] says
+    pub fn forward(&self, input: NetworkInput) -> Tensor<2> {
+        let NetworkInput { images, motion, evidence } = input;
+        let seen = images.map(|images| self.look(images, motion));
+        let known = self
+            .evidence_encoder
+            .as_ref()
+            .map(|encoder| encoder.forward(evidence.expect("a network with evidence is given it")));
+        let hidden = match (seen, known) {
+            (Some(seen), Some(known)) => seen + known,
+            (Some(one), None) | (None, Some(one)) => one,
+            (None, None) => panic!("a network is given images, evidence or both"),
+        };
+        self.fc2.forward(relu(hidden))
+    }
+
+    /// c1…c5 and fc1, before its activation.
+    fn look(&self, images: Tensor<4>, motion: Option<Tensor<2>>) -> Tensor<2> {
+        let (Some(convolutions), Some(fc1)) = (&self.convolutions, &self.fc1) else {
+            panic!("a network without Table I is shown no images");
+        };
+        let features = convolutions.forward(images).flatten::<2>(1, 3);
+        linear(fc1, self.with_pose(features, motion))
     }
 
     fn with_pose(&self, features: Tensor<2>, motion: Option<Tensor<2>>) -> Tensor<2> {
@@ -137,34 +186,25 @@ impl CovarianceNetwork {
 
     /// The activations of c1…c5, each `[batch, outputs, height, width]`.
     pub fn features(&self, images: Tensor<4>) -> [Tensor<4>; 5] {
-        let mut activation = images;
-        self.convolutions().map(|layer| {
-            activation = self.layer(layer, activation.clone());
-            activation.clone()
-        })
-    }
-
-    fn convolutions(&self) -> [&Conv2d; 5] {
-        [&self.c1, &self.c2, &self.c3, &self.c4, &self.c5]
-    }
-
-    fn layer(&self, convolution: &Conv2d, images: Tensor<4>) -> Tensor<4> {
-        relu_dropout(&self.dropout, conv2d(convolution, images))
+        self.convolutions.as_ref().expect("a network that sees images").activations(images)
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use burn::module::{Module, ModuleVisitor};
+    use burn::module::ModuleVisitor;
+    use burn::nn::conv::Conv2d;
     use burn::tensor::Distribution;
 
     use super::*;
 
     /// Table I by Burn's own operations.
     fn stock_forward(network: &CovarianceNetwork, images: Tensor<4>) -> Tensor<2> {
-        let activate = |images, layer: &Conv2d| network.dropout.forward(relu(layer.forward(images)));
-        let features = network.convolutions().into_iter().fold(images, activate);
-        network.fc2.forward(relu(network.fc1.forward(features.flatten::<2>(1, 3))))
+        let convolutions = network.convolutions.as_ref().unwrap();
+        let activate = |images, layer: &Conv2d| relu(layer.forward(images));
+        let features = convolutions.layers().into_iter().fold(images, activate);
+        let fc1 = network.fc1.as_ref().unwrap();
+        network.fc2.forward(relu(fc1.forward(features.flatten::<2>(1, 3))))
     }
 
     struct Gradients<'a> {
@@ -183,8 +223,7 @@ mod tests {
     fn kernels_give_the_gradients_of_burns_own_operations() {
         let device = Device::flex().autodiff();
         device.seed(1);
-        let head = Head::Diagonal;
-        let config = CovarianceNetworkConfig { channels: 6, pose: false, head, height: 64, width: 96, dropout: 0.0 };
+        let config = CovarianceNetworkConfig { dropout: 0.0, ..CovarianceNetworkConfig::table_one(6, 64, 96) };
         let mut network = config.init([-8.0; 6], &device);
         // fc2 starts at zero, which would hide the gradients of everything before it.
         let weight = Tensor::random([HIDDEN_UNITS, COMPONENTS], Distribution::Normal(0.0, 0.3), &device);
@@ -196,7 +235,8 @@ mod tests {
             network.visit(&mut visitor);
             visitor.values
         };
-        let kernels = gradients(network.forward(images.clone(), None));
+        let kernels =
+            gradients(network.forward(NetworkInput { images: Some(images.clone()), ..NetworkInput::default() }));
         let stock = gradients(stock_forward(&network, images));
         assert_eq!(kernels.len(), 14);
         for (index, (kernels, stock)) in kernels.iter().zip(&stock).enumerate() {

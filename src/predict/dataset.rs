@@ -9,7 +9,8 @@ use crate::data::{Dataset, Drive, PairReader, Split};
 use crate::error::{Error, Result};
 use crate::evaluation::{Prediction, predict_split};
 use crate::export::{MeasuredMotion, MeasuredMotions};
-use crate::geometry::{Covariance6, ErrorFrame, Pose, Tangent};
+use crate::geometry::{ErrorFrame, Pose};
+use crate::model::Estimate;
 
 impl Model {
     /// Predicts every readable measurement of a split, images decoded ahead of the network; one entry for each system
@@ -30,14 +31,18 @@ impl Model {
         progress: &mut dyn FnMut(usize) -> Result<()>,
     ) -> Result<Vec<MeasuredMotions>> {
         let reader = Arc::new(PairReader::new(config, dataset, split.name));
-        let predictions = predict_split(&self.network, &reader, split, &config.training, &self.device, progress)?;
+        let images = self.architecture.images();
+        let predictions =
+            predict_split(&self.network, &reader, split, images, &config.training, &self.device, progress)?;
         let mut groups: BTreeMap<(usize, usize), Vec<MeasuredMotion>> = BTreeMap::new();
-        for Prediction { pair, system, motion, covariance, .. } in &predictions {
+        for prediction in &predictions {
+            let Prediction { pair, system, motion, .. } = prediction;
             let drive = &dataset.drives[pair.drive];
             let world_from_vehicle = drive.oxts_poses.get(&pair.source).filter(|_| config.truth == TruthConfig::Oxts);
             let axes = |frame| axes_from_vehicle(drive, frame, world_from_vehicle);
-            let (source_from_target, covariance) =
-                in_axes(motion, &self.recalibrated(*covariance), &axes(self.error_frame)?, &axes(output)?);
+            let output_from_vehicle = axes(output)?;
+            let estimate =
+                in_axes(self.recalibrated(prediction.estimate()), &axes(self.error_frame)?, &output_from_vehicle);
             let times = &drive.timestamps_s;
             let times_s =
                 times.get(&pair.source).zip(times.get(&pair.target)).map(|(&source, &target)| [source, target]);
@@ -45,8 +50,10 @@ impl Model {
                 source: pair.source,
                 target: pair.target,
                 times_s,
-                source_from_target,
-                covariance,
+                source_from_target: Pose::exp(motion).conjugated_by(&output_from_vehicle),
+                covariance: estimate.covariance,
+                posterior: estimate.posterior,
+                no_verdict: estimate.no_verdict,
             });
         }
         let named = |((system, drive), motions): ((usize, usize), Vec<MeasuredMotion>)| MeasuredMotions {
@@ -59,18 +66,17 @@ impl Model {
     }
 }
 
-/// A motion of the vehicle, and the covariance of its error in axes of its own, both in the axes of the output.
-fn in_axes(
-    motion: &Tangent,
-    covariance: &Covariance6,
-    errors_from_vehicle: &Pose,
-    output_from_vehicle: &Pose,
-) -> (Pose, Covariance6) {
-    let covariance = match errors_from_vehicle == output_from_vehicle {
-        true => *covariance,
-        false => covariance.transported(&(*output_from_vehicle * errors_from_vehicle.inverse())),
-    };
-    (Pose::exp(motion).conjugated_by(output_from_vehicle), covariance)
+/// What was said of an error in axes of its own, in those of the output.
+fn in_axes(estimate: Estimate, errors_from_vehicle: &Pose, output_from_vehicle: &Pose) -> Estimate {
+    if errors_from_vehicle == output_from_vehicle {
+        return estimate;
+    }
+    let output_from_errors = *output_from_vehicle * errors_from_vehicle.inverse();
+    Estimate {
+        covariance: estimate.covariance.transported(&output_from_errors),
+        posterior: estimate.posterior.map(|posterior| posterior.transported(&output_from_errors)),
+        ..estimate
+    }
 }
 
 fn axes_from_vehicle(drive: &Drive, frame: ErrorFrame, world_from_vehicle: Option<&Pose>) -> Result<Pose> {

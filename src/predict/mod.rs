@@ -10,14 +10,16 @@ use std::sync::Arc;
 
 use burn::tensor::Device;
 use nalgebra::Vector2;
+use rayon::prelude::*;
 
+use crate::alignment::Evidence;
 use crate::config::{Config, DepthConfig};
-use crate::data::{PairBatch, PairSample, RgbImage, RightImages};
+use crate::data::{PairNumbers, PairSample, RgbImage, RightImages, camera_axes_from_vehicle};
 use crate::depth::{DepthMap, LiveDepth};
 use crate::error::{Error, Result};
 use crate::evaluation::{Recalibration, read_values};
-use crate::geometry::{Covariance6, ErrorFrame, Pinhole, Pose, Tangent};
-use crate::model::{Architecture, CovarianceModel, ImagePair};
+use crate::geometry::{Covariance6, ErrorFrame, Pinhole, Pose, Posterior, Tangent};
+use crate::model::{Architecture, CovarianceModel, Estimate, EvidenceInput, ImagePair};
 use crate::training::RunFolder;
 
 pub use stream::{Stream, StreamSettings};
@@ -41,6 +43,7 @@ const LARGEST: f64 = 1e6;
 ///     camera,
 ///     source_from_target: geometry::Pose::exp(&geometry::Tangent::new(0.0, 0.0, 0.9, 0.0, 0.0, 0.0)),
 ///     right: None,
+///     camera_from_vehicle: None,
 /// })?;
 /// let sigma = covariance.std_devs(); // x, y, z (m), roll, pitch, yaw (rad), axes of model.error_frame()
 /// # let _ = sigma;
@@ -52,6 +55,8 @@ pub struct Model {
     error_frame: ErrorFrame,
     network: CovarianceModel,
     recalibration: Option<Recalibration>,
+    /// Vehicle axes into the camera's, on the drives it was trained on.
+    camera_from_vehicle: Option<Pose>,
     /// Where the run's depth came from; of a folder without a readable configuration, why that is not known.
     depth: Result<DepthConfig, String>,
     device: Device,
@@ -73,6 +78,22 @@ pub struct Measurement {
     pub source_from_target: Pose,
     /// What the right camera saw, for a model that looks at it ([`Architecture::stereo`]).
     pub right: Option<RightView>,
+    /// Vehicle axes into those of this camera, m, for a model with evidence whose covariances are in axes of the
+    /// vehicle; `None`: as on the drives that the model was trained on.
+    pub camera_from_vehicle: Option<Pose>,
+}
+
+/// What a model says of a measurement; axes of [`Model::error_frame`], order ρ then φ, m and rad.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Judgement {
+    /// R: covariance of `e = log(T̂ T⁻¹)`, of the measurement as it is.
+    pub covariance: Covariance6,
+    /// Of a model with a posterior head: μ, the error that the images show. `exp(−μ) T̂` is the corrected measurement
+    /// ([`Posterior::correct`]), and its covariance C; `R = C + μ μᵀ`.
+    pub posterior: Option<Posterior>,
+    /// What direct alignment found, of a model with evidence. Where it came to no verdict
+    /// ([`Evidence::no_verdict`]) the covariance is the prior's and the correction is none.
+    pub evidence: Option<Evidence>,
 }
 
 /// The right camera's part of a [`Measurement`].
@@ -95,7 +116,9 @@ impl Model {
         let run = RunFolder::open(run.as_ref())?;
         let manifest = run.manifest()?;
         let network = run.load_model(&manifest, device)?;
+        let camera_from_vehicle = manifest.camera_from_vehicle();
         Ok(Self {
+            camera_from_vehicle,
             architecture: manifest.architecture,
             error_frame: manifest.conventions.error_frame,
             network,
@@ -125,6 +148,8 @@ impl Model {
     ///     camera,
     ///     source_from_target: Pose::identity(),
     ///     right: None,
+    ///     camera_from_vehicle: None,
+    ///     camera_from_vehicle: None,
     /// })?;
     /// assert!((covariance.variance()[0].ln() + 4.0).abs() < 1e-5);
     /// # Ok(())
@@ -138,7 +163,15 @@ impl Model {
     ) -> Self {
         let network = architecture.init(log_variance, device);
         let depth = Ok(DepthConfig::default());
-        Self { architecture, error_frame, network, recalibration: None, depth, device: device.clone() }
+        Self {
+            architecture,
+            error_frame,
+            network,
+            recalibration: None,
+            camera_from_vehicle: None,
+            depth,
+            device: device.clone(),
+        }
     }
 
     /// Axes in which predicted covariances are expressed.
@@ -172,9 +205,10 @@ impl Model {
     ///
     /// # Errors
     /// Images do not have the camera's size, buffers not the size they state, no depth is known, the pose or intrinsics
-    /// are not finite, the source image shows nothing of the target, or the model's output is not finite.
+    /// are not finite, the source image shows nothing of the target, or the model's output is not finite. A model with
+    /// evidence says *no verdict* instead where images or depth show nothing ([`Model::judge`]).
     pub fn predict(&self, measurement: &Measurement) -> Result<Covariance6> {
-        Ok(self.predict_batch(std::slice::from_ref(measurement))?.swap_remove(0))
+        Ok(self.judge(measurement)?.covariance)
     }
 
     /// The same for several measurements at once, which is faster; none for none.
@@ -182,21 +216,62 @@ impl Model {
     /// # Errors
     /// As [`Model::predict`], for any of them.
     pub fn predict_batch(&self, measurements: &[Measurement]) -> Result<Vec<Covariance6>> {
-        let samples = measurements.iter().map(|measurement| self.prepare(measurement)).collect::<Result<Vec<_>>>()?;
+        Ok(self.judge_batch(measurements)?.into_iter().map(|judgement| judgement.covariance).collect())
+    }
+
+    /// All that the model says of a measurement: its covariance, the error that the images show and what remains
+    /// without it, and the evidence behind both.
+    ///
+    /// # Errors
+    /// As [`Model::predict`].
+    pub fn judge(&self, measurement: &Measurement) -> Result<Judgement> {
+        Ok(self.judge_batch(std::slice::from_ref(measurement))?.swap_remove(0))
+    }
+
+    /// The same for several measurements at once, which is faster; none for none.
+    ///
+    /// # Errors
+    /// As [`Model::predict`], for any of them.
+    pub fn judge_batch(&self, measurements: &[Measurement]) -> Result<Vec<Judgement>> {
+        let samples =
+            measurements.par_iter().map(|measurement| self.prepare(measurement)).collect::<Result<Vec<_>>>()?;
         if samples.is_empty() {
             return Ok(Vec::new());
         }
-        let outputs = read_values(self.network.forward(&PairBatch::new(&samples, &self.device)))?;
-        let covariances = self.network.covariances(&outputs)?.into_iter();
-        Ok(covariances.map(|covariance| self.recalibrated(covariance)).collect())
+        let numbers = PairNumbers::new(&samples, self.architecture.images());
+        let outputs = read_values(self.network.forward(&numbers.upload(&self.device)))?;
+        let evidence: Vec<_> = samples.into_iter().map(|sample| sample.evidence).collect();
+        let estimates = self.network.estimates(&outputs, &evidence)?;
+        let judged = estimates.into_iter().map(|estimate| self.recalibrated(estimate)).zip(evidence);
+        Ok(judged
+            .map(|(Estimate { covariance, posterior, .. }, evidence)| Judgement { covariance, posterior, evidence })
+            .collect())
     }
 
-    fn recalibrated(&self, covariance: Covariance6) -> Covariance6 {
-        self.recalibration.as_ref().map_or(covariance, |recalibration| recalibration.apply(&covariance))
+    fn recalibrated(&self, estimate: Estimate) -> Estimate {
+        self.recalibration.as_ref().map_or(estimate, |recalibration| recalibration.recalibrate(estimate))
+    }
+
+    /// Axes of the errors from those of a measurement's camera.
+    fn errors_from_camera(&self, measurement: &Measurement) -> Result<Pose> {
+        match self.error_frame {
+            ErrorFrame::Camera => Ok(Pose::identity()),
+            ErrorFrame::Vehicle => {
+                let camera_from_vehicle = measurement.camera_from_vehicle.or(self.camera_from_vehicle);
+                Ok(camera_from_vehicle.unwrap_or_else(camera_axes_from_vehicle).inverse())
+            }
+            ErrorFrame::World => Err(Error::Data(
+                "this model's covariances are in axes of the world, which a single measurement does not know; its evidence needs them: predict for a data set, or train with data.error_frame = \"vehicle\" or \"camera\"".to_owned(),
+            )),
+        }
     }
 
     fn prepare(&self, measurement: &Measurement) -> Result<PairSample> {
-        let Measurement { source_image, target_image, target_depth, camera, source_from_target, right } = measurement;
+        let Measurement { source_image, target_image, target_depth, camera, source_from_target, right, .. } =
+            measurement;
+        let with_evidence = self.architecture.evidence == EvidenceInput::Alignment;
+        // A warp needs something to show; evidence may say that there is nothing.
+        let must_show = self.architecture.pair == ImagePair::Warped && !with_evidence;
         let right = right.as_ref().filter(|_| self.architecture.stereo);
         if self.architecture.stereo && right.is_none() {
             return Err(Error::Data(
@@ -223,7 +298,7 @@ impl Model {
         if target_depth.depth_m.len() != target_depth.width * target_depth.height || target_depth.depth_m.is_empty() {
             return Err(Error::Data("the depth map does not hold one depth for each of its pixels".to_owned()));
         }
-        if self.architecture.pair == ImagePair::Warped && target_depth.known().next().is_none() {
+        if must_show && target_depth.known().next().is_none() {
             return Err(Error::Data(
                 "the depth of not one pixel is known (0 = unknown, else metres): there is nothing to warp".to_owned(),
             ));
@@ -239,14 +314,14 @@ impl Model {
         let (width, height) = (self.architecture.width, self.architecture.height);
         let resized = |image: &RgbImage| Arc::new(image.clone().resized(width, height));
         let (target_depth, camera) = (target_depth.resized(width, height), camera.resized(width, height));
-        if self.architecture.pair == ImagePair::Warped && !overlaps(&target_depth, &camera, source_from_target) {
+        if must_show && !overlaps(&target_depth, &camera, source_from_target) {
             return Err(Error::Data(
                 "by this pose and depth the source image shows nothing of the target: is the pose source_from_target, in axes of the camera and metres, the depth in metres, and are the intrinsics those of the images?"
                     .to_owned(),
             ));
         }
         let (source_image, target_image) = rayon::join(|| resized(source_image), || resized(target_image));
-        Ok(PairSample {
+        let mut sample = PairSample {
             source_image,
             target_image,
             target_depth: Arc::new(target_depth),
@@ -258,7 +333,12 @@ impl Model {
                 target_image: resized(&right.target_image),
                 right_from_left: right.right_from_left,
             }),
-        })
+            evidence: None,
+        };
+        if with_evidence {
+            sample.evidence = Some(sample.align(&self.errors_from_camera(measurement)?));
+        }
+        Ok(sample)
     }
 }
 
@@ -288,6 +368,7 @@ mod tests {
             camera: Pinhole { fx: 40.0, fy: 40.0, cx: 31.5, cy: 15.5, width: 64, height: 32 },
             source_from_target: Pose::identity(),
             right: None,
+            camera_from_vehicle: None,
         };
         assert!(model.predict(&measurement(5.0)).is_ok());
         let message = model.predict(&measurement(0.0)).unwrap_err().to_string();

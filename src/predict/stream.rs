@@ -142,7 +142,15 @@ impl<'a> Stream<'a> {
             }),
             _ => None,
         };
-        let measurement = Measurement { source_image, target_image, target_depth, camera, source_from_target, right };
+        let measurement = Measurement {
+            source_image,
+            target_image,
+            target_depth,
+            camera,
+            source_from_target,
+            right,
+            camera_from_vehicle: request.camera_from_vehicle.is_some().then_some(camera_from_vehicle),
+        };
         let covariance = self.model.predict(&measurement)?;
         let axes_from_camera = |frame| match frame {
             ErrorFrame::Camera => Pose::identity(),

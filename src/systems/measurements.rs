@@ -43,7 +43,8 @@ pub fn load_measurements(system: &SystemConfig, drive: &Drive, root: &Path, trut
     };
     let missing = |frame, path| Measurements { missing_file: Some(path), ..found(frame, BTreeMap::new()) };
     Ok(match &system.source {
-        SystemSource::Truth {} => found(MeasurementFrame::Vehicle, truth.motions()),
+        // True here; the data set draws their errors.
+        SystemSource::Truth {} | SystemSource::Perturbation(_) => found(MeasurementFrame::Vehicle, truth.motions()),
         SystemSource::Oxts {} => found(MeasurementFrame::Vehicle, consecutive(&drive.oxts_poses)),
         SystemSource::Trajectory(config) => match load_trajectory(config, drive, root)? {
             Some(trajectory) => found(config.frame, consecutive(&trajectory)),

@@ -11,11 +11,20 @@ use rand_chacha::ChaCha8Rng;
 /// Purpose of the random stream that orders pairs within a batch; smaller ones are systems.
 const ORDER_IN_BATCH: usize = (1 << 24) - 1;
 
-/// The pairs of one mini-batch, as indices into a split, in random order.
+/// The pairs of one mini-batch, in random order.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BatchPlan {
-    /// Pair indices.
-    pub pairs: Vec<usize>,
+    /// Its pairs.
+    pub pairs: Vec<PlannedPair>,
+}
+
+/// A pair of a mini-batch.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PlannedPair {
+    /// Index into the split.
+    pub pair: usize,
+    /// How many times every pair of its system was seen before.
+    pub pass: usize,
 }
 
 /// Draws mini-batches from several systems.
@@ -58,7 +67,7 @@ impl Mixer {
 
 impl MixedSystem {
     /// The pair of a draw: passes over the system follow one another, each in its own order.
-    fn pair(&mut self, seed: u64, system: usize, draw: usize) -> usize {
+    fn pair(&mut self, seed: u64, system: usize, draw: usize) -> PlannedPair {
         let pass = draw / self.pairs.len();
         if self.pass.as_ref().is_none_or(|(current, _)| *current != pass) {
             let mut order: Vec<usize> = self.pairs.clone().collect();
@@ -66,7 +75,7 @@ impl MixedSystem {
             self.pass = Some((pass, order));
         }
         let (_, order) = self.pass.as_ref().expect("just set");
-        order[draw % self.pairs.len()]
+        PlannedPair { pair: order[draw % self.pairs.len()], pass }
     }
 }
 
@@ -89,7 +98,7 @@ mod tests {
     fn every_batch_holds_the_exact_shares() {
         let mut mixer = mixer();
         for batch in 0..20 {
-            let pairs = mixer.plan(batch).pairs;
+            let pairs: Vec<usize> = mixer.plan(batch).pairs.iter().map(|planned| planned.pair).collect();
             assert_eq!(pairs.iter().filter(|&&pair| pair < 100).count(), 63);
             assert_eq!(pairs.iter().filter(|&&pair| pair >= 100).count(), 21);
         }
@@ -98,10 +107,10 @@ mod tests {
     #[test]
     fn a_pass_shows_every_pair_once() {
         let mut mixer = mixer();
-        let drawn: Vec<usize> = (0..100).flat_map(|batch| mixer.plan(batch).pairs).filter(|&pair| pair < 100).collect();
-        let mut counts = [0; 100];
-        drawn.iter().for_each(|&pair| counts[pair] += 1);
-        assert_eq!(counts, [63; 100]);
+        let planned = (0..100).flat_map(|batch| mixer.plan(batch).pairs).filter(|planned| planned.pair < 100);
+        let mut passes = vec![Vec::new(); 100];
+        planned.for_each(|planned| passes[planned.pair].push(planned.pass));
+        assert!(passes.iter().all(|passes| passes.iter().copied().eq(0..63)));
     }
 
     #[test]
@@ -117,8 +126,8 @@ mod tests {
         let mut mixer = Mixer::new(0, [(0..50, 50), (50..100, 50)]);
         let mut system_one = mixer.systems[0].clone();
         let mut system_two = mixer.systems[1].clone();
-        let one: Vec<_> = (0..50).map(|draw| system_one.pair(0, 0, draw)).collect();
-        let two: Vec<_> = (0..50).map(|draw| system_two.pair(0, 1, draw) - 50).collect();
+        let one: Vec<_> = (0..50).map(|draw| system_one.pair(0, 0, draw).pair).collect();
+        let two: Vec<_> = (0..50).map(|draw| system_two.pair(0, 1, draw).pair - 50).collect();
         assert_ne!(one, two);
         assert_eq!(mixer.plan(0).pairs.len(), 100);
     }

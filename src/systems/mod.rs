@@ -7,6 +7,7 @@
 mod chain;
 mod measurements;
 mod mixing;
+mod perturbation;
 mod relative;
 mod sequences;
 mod trajectory;
@@ -14,7 +15,9 @@ mod truth;
 
 pub use chain::chain_poses;
 pub use measurements::{Measurements, load_measurements};
-pub use mixing::{BatchPlan, Mixer};
+pub use mixing::{BatchPlan, Mixer, PlannedPair};
+pub use perturbation::Perturbation;
+pub(crate) use perturbation::standard_normal;
 pub(crate) use relative::{RIGHT, stated_frame};
 pub use relative::{RelativePose, format_relative_pose, parse_relative_poses, relative_pose_header};
 pub use sequences::{OdometrySequence, odometry_sequence};

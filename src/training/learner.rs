@@ -23,12 +23,12 @@ use super::run_folder::RunFolder;
 use super::schedule::rate_factor;
 use super::setup::{constant_loss, describe, watched_split, watched_system};
 use crate::config::Config;
-use crate::data::{BadFrame, BatchLoader, Choice, Dataset, LoadedBatch, PairReader, SplitName};
+use crate::data::{BadFrame, BatchLoader, Choice, Dataset, Images, LoadedBatch, PairReader, Request, Split, SplitName};
 use crate::error::{Error, Result};
 use crate::evaluation::{Prediction, Recalibration, mean_loss, predict_split, read_values, share_at_floor};
 use crate::kernels::Adam;
 use crate::model::{Architecture, CovarianceModel, MicroBatch};
-use crate::systems::Mixer;
+use crate::systems::{Mixer, PlannedPair};
 
 /// Longest time between two saved states, so that a killed run loses little.
 const SAVE_EVERY: Duration = Duration::from_secs(600);
@@ -221,12 +221,14 @@ impl Learner {
         let mut gradients = GradientsAccumulator::new();
         let mut losses: Vec<Tensor<1>> = Vec::new();
         let mut learned: Vec<usize> = Vec::new();
-        for part in 0..size.div_ceil(self.config.training.micro_batch) {
+        for part in 0..size.div_ceil(self.part_size(self.images_of_batch(batch))) {
             let LoadedBatch { pairs, numbers, .. } = loader.next_batch()?;
             let numbers = numbers.expect("training pairs are substituted, never left out");
             // Dropout is a function of seed, batch and part, so that a resumed run repeats it.
             self.device.seed(step_seed(seed, batch, part));
-            let part = MicroBatch { pairs: numbers.upload(&self.device), weight: 1.0 / size as f32 };
+            let corrected_share = self.config.training.corrected_share;
+            let weight = 1.0 / size as f32;
+            let part = MicroBatch { pairs: numbers.upload(&self.device), weight, corrected_share };
             let output = TrainStep::step(self.model(), part);
             gradients.accumulate(self.model(), output.grads);
             losses.push(output.item.loss);
@@ -255,7 +257,7 @@ impl Learner {
     /// Evaluates, keeps the best model, saves the state; whether this epoch is the best.
     fn finish_epoch(&mut self, observer: &mut dyn FnMut(Event)) -> Result<bool> {
         let predictions = self.predict_watched(observer)?;
-        let floor = self.architecture.log_variance_floor;
+        let floor = self.architecture.floor_of_covariances();
         let at_floor = floor.map_or(0.0, |floor| share_at_floor(predictions.iter().map(|row| &row.covariance), &floor));
         let systems = self.config.systems.len();
         if mean_loss(&predictions, watched_system(&self.config)).is_none() {
@@ -280,7 +282,11 @@ impl Learner {
 
     /// Predictions of the watched split; an interrupt ends them, and a resumed run makes them anew.
     fn predict_watched(&self, observer: &mut dyn FnMut(Event)) -> Result<Vec<Prediction>> {
-        self.predict(&self.model().valid(), watched_split(&self.config), &self.watched_reader, observer)
+        // Before images have a say they need not be looked at.
+        let images = self.images_of_batch(self.history.batches.saturating_sub(1));
+        let split = self.dataset.split(watched_split(&self.config));
+        let learned = |system: usize| self.config.systems[system].share > 0.0;
+        self.predict(&self.model().valid(), &split.of_systems(learned), images, &self.watched_reader, observer)
     }
 
     /// Fits the factors on variances of the best model to the validation split, where there is one.
@@ -293,7 +299,8 @@ impl Learner {
             SplitName::Validation => self.watched_reader.clone(),
             _ => Arc::new(PairReader::new(&self.config, &self.dataset, SplitName::Validation)),
         };
-        let predictions = self.predict(&model, SplitName::Validation, &reader, observer)?;
+        let predictions =
+            self.predict(&model, &self.dataset.validation, self.architecture.images(), &reader, observer)?;
         let learned = self.config.systems.iter().filter(|system| system.share > 0.0);
         let learned: Vec<&str> = learned.map(|system| system.name.as_str()).collect();
         let split = SplitName::Validation.name();
@@ -306,17 +313,17 @@ impl Learner {
     fn predict(
         &self,
         model: &CovarianceModel,
-        split: SplitName,
+        split: &Split,
+        images: Images,
         reader: &Arc<PairReader>,
         observer: &mut dyn FnMut(Event),
     ) -> Result<Vec<Prediction>> {
-        let split = self.dataset.split(split);
         let pairs = split.pairs.len();
         let mut progress = |done| {
             observer(Event::Evaluation { done, pairs });
             self.stop_if_interrupted()
         };
-        predict_split(model, reader, split, &self.config.training, &self.device, &mut progress)
+        predict_split(model, reader, split, images, &self.config.training, &self.device, &mut progress)
     }
 
     fn stop_reason(&self) -> Option<StopReason> {
@@ -332,6 +339,24 @@ impl Learner {
         self.run.save_state(self.model(), &self.optimiser, &self.history, &self.dataset.systems)
     }
 
+    /// Mini-batches at the start that show evidence alone.
+    fn evidence_batches(&self) -> usize {
+        self.config.training.evidence_epochs * self.batches_per_epoch()
+    }
+
+    /// Whether images are shown in a mini-batch of the training.
+    fn images_of_batch(&self, batch: usize) -> Images {
+        if batch < self.evidence_batches() { Images::LeftOut } else { self.architecture.images() }
+    }
+
+    /// Most pairs of a part of a mini-batch: without images all fit memory.
+    fn part_size(&self, images: Images) -> usize {
+        match images {
+            Images::Included => self.config.training.micro_batch,
+            Images::LeftOut => self.config.training.batch,
+        }
+    }
+
     /// Reads all mini-batches that are still to come, part by part.
     fn spawn_loader(&self) -> Result<BatchLoader> {
         let split = &self.dataset.train;
@@ -339,12 +364,19 @@ impl Learner {
         let counts = self.config.pairs_per_batch();
         let mut mixer = Mixer::new(self.config.seed, ranges.clone().into_iter().zip(counts));
         let systems: Vec<usize> = split.pairs.iter().map(|pair| pair.system).collect();
-        let micro_batch = self.config.training.micro_batch;
+        let evidence_batches = self.evidence_batches();
+        let with_images = self.architecture.images();
+        let sizes = [self.part_size(Images::LeftOut), self.part_size(Images::Included)];
         let requests = (self.history.batches..).flat_map(move |batch| {
-            let choices = mixer.plan(batch).pairs.into_iter();
-            let choices: Vec<Choice> =
-                choices.map(|pair| Choice { pair, substitutes: Some(ranges[systems[pair]].clone()) }).collect();
-            choices.chunks(micro_batch).map(<[Choice]>::to_vec).collect::<Vec<_>>()
+            let images = if batch < evidence_batches { Images::LeftOut } else { with_images };
+            let size = sizes[usize::from(images == Images::Included)];
+            let choice = |PlannedPair { pair, pass }| Choice {
+                pair,
+                draw: Some(pass),
+                substitutes: Some(ranges[systems[pair]].clone()),
+            };
+            let choices: Vec<Choice> = mixer.plan(batch).pairs.into_iter().map(choice).collect();
+            choices.chunks(size).map(|choices| Request { choices: choices.to_vec(), images }).collect::<Vec<_>>()
         });
         BatchLoader::spawn(self.reader.clone(), Arc::new(split.pairs.clone()), requests, &self.config.training)
     }

@@ -24,6 +24,8 @@ fn architecture(config: &Config, dataset: &Dataset) -> Architecture {
         validity_mask: config.model.validity_mask,
         stereo: config.model.stereo,
         pose: config.model.pose,
+        evidence: config.model.evidence,
+        network: config.model.network,
         head: config.model.head,
         dropout: config.model.dropout,
         log_variance_floor: match config.model.min_log_variance {
@@ -62,6 +64,10 @@ pub(super) fn describe(config: &Config, dataset: &Dataset, device: &Device) -> M
         conventions: Conventions::new(config.data.error_frame),
         architecture: architecture(config, dataset),
         initial_log_variance: initial_log_variance(config, dataset),
+        camera_from_vehicle: dataset.train.pairs.first().map(|pair| {
+            let matrix = dataset.drives[pair.id.drive].calibration.camera2_from_vehicle.matrix();
+            std::array::from_fn(|index| matrix[(index / 4, index % 4)])
+        }),
         systems: systems.collect(),
         data_fingerprint: dataset.fingerprint(),
         experiment_fingerprint: config.experiment_fingerprint(),
@@ -81,7 +87,7 @@ pub(super) fn constant_loss(dataset: &Dataset, watched: SplitName, manifest: &Ma
             let usable = variances.iter().all(|&value| value > 0.0);
             let covariance = Covariance6::from_variances(&variances.into());
             let pairs = if usable { &split.pairs[range.clone()] } else { &[] };
-            let constant: Vec<Prediction> = pairs.iter().map(|pair| Prediction::new(pair, covariance)).collect();
+            let constant: Vec<Prediction> = pairs.iter().map(|pair| Prediction::constant(pair, covariance)).collect();
             mean_loss(&constant, index)
         })
         .collect()

@@ -315,7 +315,7 @@ impl DepthLearner {
         for _ in 0..self.watched.len().div_ceil(batch) {
             if let Some(batch) = batches.next(&self.device)? {
                 losses.push(reprojection_loss(&network, self.config.depth_training.range_m, &batch).photometric);
-                targets.push((batch.len() / NEIGHBOURS) as f64);
+                targets.push((batch.target_image.dims()[0] / NEIGHBOURS) as f64);
             }
         }
         if losses.is_empty() {

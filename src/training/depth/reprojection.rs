@@ -6,7 +6,7 @@ use burn::tensor::module::{avg_pool2d, conv2d};
 use burn::tensor::ops::{AvgPoolOptions, ConvOptions, PadMode};
 
 use super::photometric::{Target, smoothness};
-use crate::data::PairBatch;
+use crate::data::ImageBatch;
 use crate::depth::DepthRange;
 use crate::depth::monodepth2::{Monodepth2, disparity_to_depth};
 use crate::kernels::double;
@@ -39,8 +39,8 @@ pub(super) struct ReprojectionLoss {
 /// Departures: a pixel whose source lies outside the image counts as unexplained, and windows beside it see the target
 /// there, where Godard et al. repeat the source's border; coarse disparities are enlarged by repeated doubling; ties are
 /// broken by a constant in place of noise.
-pub(super) fn reprojection_loss(network: &Monodepth2, range_m: DepthRange, batch: &PairBatch) -> ReprojectionLoss {
-    let targets = batch.len() / NEIGHBOURS;
+pub(super) fn reprojection_loss(network: &Monodepth2, range_m: DepthRange, batch: &ImageBatch) -> ReprojectionLoss {
+    let targets = batch.target_image.dims()[0] / NEIGHBOURS;
     let target = batch.target_image.clone().narrow(0, 0, targets);
     let disparities = network.forward(target.clone());
     let scales = disparities.len();

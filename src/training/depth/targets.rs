@@ -8,7 +8,9 @@ use burn::tensor::Device;
 
 use super::reprojection::NEIGHBOURS;
 use crate::config::{Config, ModelConfig};
-use crate::data::{BatchLoader, Choice, Dataset, Pair, PairBatch, PairId, PairReader, PairScope, Split, SplitName};
+use crate::data::{
+    BatchLoader, Choice, Dataset, ImageBatch, Images, Pair, PairId, PairReader, PairScope, Request, Split, SplitName,
+};
 use crate::error::{Error, Result};
 use crate::files::sha256_hex;
 use crate::geometry::Tangent;
@@ -71,7 +73,10 @@ impl Targets {
     /// Shuffled mini-batches of `batch` targets without end, from the `first`-th on.
     pub fn shuffled(&self, seed: u64, batch: usize, first: usize) -> Result<TargetBatches> {
         let mut mixer = Mixer::new(seed, [(0..self.len(), batch.min(self.len()))]);
-        let requests = (first..).map(move |batch| request(&mixer.plan(batch).pairs));
+        let requests = (first..).map(move |batch| {
+            let targets: Vec<usize> = mixer.plan(batch).pairs.iter().map(|planned| planned.pair).collect();
+            request(&targets)
+        });
         self.spawn(requests)
     }
 
@@ -85,7 +90,7 @@ impl Targets {
         self.spawn(requests)
     }
 
-    fn spawn(&self, requests: impl Iterator<Item = Vec<Choice>> + Send + 'static) -> Result<TargetBatches> {
+    fn spawn(&self, requests: impl Iterator<Item = Request> + Send + 'static) -> Result<TargetBatches> {
         let loader = BatchLoader::spawn(self.reader.clone(), self.pairs.clone(), requests, &self.loader.training)?;
         Ok(TargetBatches { loader })
     }
@@ -101,19 +106,20 @@ impl TargetBatches {
     ///
     /// # Errors
     /// Too many images cannot be read.
-    pub fn next(&mut self, device: &Device) -> Result<Option<PairBatch>> {
+    pub fn next(&mut self, device: &Device) -> Result<Option<ImageBatch>> {
         let batch = self.loader.next_batch()?;
         let whole = batch.complete;
-        Ok(batch.numbers.filter(|_| whole).map(|numbers| numbers.upload(device)))
+        Ok(batch.numbers.filter(|_| whole).and_then(|numbers| numbers.upload(device).images))
     }
 }
 
 /// All targets with their first neighbour, then all with their second: as the loss wants them.
-fn request(targets: &[usize]) -> Vec<Choice> {
+fn request(targets: &[usize]) -> Request {
     let choice = |neighbour: usize| {
-        targets.iter().map(move |target| Choice { pair: NEIGHBOURS * target + neighbour, substitutes: None })
+        let pair = move |target| NEIGHBOURS * target + neighbour;
+        targets.iter().map(move |target| Choice { pair: pair(target), draw: None, substitutes: None })
     };
-    (0..NEIGHBOURS).flat_map(choice).collect()
+    Request { choices: (0..NEIGHBOURS).flat_map(choice).collect(), images: Images::Included }
 }
 
 /// For each frame whose two neighbours are there: the pairs of which it is the target.

@@ -1,0 +1,101 @@
+//! Errors of generated measurements `T̂ = exp(e) T` (the paper's "measurement generation", its future work): of every
+//! size and shape, so that a model learns what an error looks like rather than what one system's errors are.
+
+use std::f64::consts::TAU;
+
+use nalgebra::Matrix6;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use crate::data::PairId;
+use crate::geometry::Tangent;
+
+/// Sizes are log-uniform over as many powers of ten, the base in the middle.
+const DECADES: f64 = 2.0;
+/// Each component has a size of its own, down to this share of the common one, log-uniform as well.
+const LEAST_SHARE: f64 = 0.1;
+/// Share of draws whose components are correlated.
+const CORRELATED: f64 = 0.5;
+
+/// Draws errors; each a pure function of seed, pair and draw.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Perturbation {
+    seed: u64,
+    base: [f64; 6],
+}
+
+impl Perturbation {
+    /// Errors around a base, order ρ then φ, m and rad.
+    pub fn new(seed: u64, base: [f64; 6]) -> Self {
+        Self { seed, base }
+    }
+
+    /// A draw of the error of a pair: `e = s D(base) D(w) z` with a common size s from a tenth to ten, sizes w of the
+    /// components from a tenth to one, and z standard normal; in half of the draws `e = s D(base) Q D(w) z` with random
+    /// orthonormal Q, which mixes the components.
+    pub fn draw(&self, pair: PairId, draw: usize) -> Tangent {
+        let PairId { drive, source, target } = pair;
+        let mut random = ChaCha8Rng::seed_from_u64(self.seed ^ (target as u64).rotate_left(32));
+        random.set_stream(((drive as u64) << 48) ^ ((source as u64) << 24) ^ draw as u64);
+        let size = 10f64.powf(DECADES * (random.random_range(0.0..1.0) - 0.5));
+        let sizes = Tangent::from_fn(|_, _| LEAST_SHARE.powf(random.random_range(0.0..1.0)));
+        let mut error = sizes.component_mul(&Tangent::from_fn(|_, _| standard_normal(&mut random)));
+        if random.random_range(0.0..1.0) < CORRELATED {
+            let gaussian = Matrix6::from_fn(|_, _| standard_normal(&mut random));
+            error = gaussian.qr().q() * error;
+        }
+        size * error.component_mul(&Tangent::from(self.base))
+    }
+}
+
+/// Box and Muller 1958.
+pub(crate) fn standard_normal(random: &mut ChaCha8Rng) -> f64 {
+    let radius = (-2.0 * (1.0 - random.random_range(0.0..1.0_f64)).ln()).sqrt();
+    radius * (TAU * random.random_range(0.0..1.0_f64)).cos()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const BASE: [f64; 6] = [0.1, 0.05, 0.02, 1e-3, 2e-3, 4e-3];
+
+    fn pair(source: usize) -> PairId {
+        PairId { drive: 3, source, target: source + 1 }
+    }
+
+    #[test]
+    fn a_draw_depends_on_seed_pair_and_number_alone() {
+        let perturbation = Perturbation::new(7, BASE);
+        let error = perturbation.draw(pair(5), 2);
+        assert_eq!(error, Perturbation::new(7, BASE).draw(pair(5), 2));
+        for other in [
+            perturbation.draw(pair(5), 3),
+            perturbation.draw(pair(6), 2),
+            perturbation.draw(PairId { drive: 4, ..pair(5) }, 2),
+            perturbation.draw(PairId { target: 10, ..pair(5) }, 2),
+            Perturbation::new(8, BASE).draw(pair(5), 2),
+        ] {
+            assert_ne!(error, other);
+        }
+    }
+
+    #[test]
+    fn errors_are_of_every_size_around_the_base_and_have_no_side() {
+        let perturbation = Perturbation::new(0, BASE);
+        let errors: Vec<Tangent> = (0..4000).map(|source| perturbation.draw(pair(source), 0)).collect();
+        for c in 0..6 {
+            let mut sizes: Vec<f64> = errors.iter().map(|error| (error[c] / BASE[c]).abs()).collect();
+            sizes.sort_by(f64::total_cmp);
+            let [tenth, median, last] = [400, 2000, 3600].map(|rank| sizes[rank]);
+            assert!((0.1..0.5).contains(&median), "component {c}: median {median}");
+            assert!(
+                last / tenth > 50.0 && sizes[3999] < 60.0,
+                "component {c}: {tenth} to {last}, at most {}",
+                sizes[3999]
+            );
+            let positive = errors.iter().filter(|error| error[c] > 0.0).count();
+            assert!((1850..2150).contains(&positive), "component {c}: {positive} of 4000 are positive");
+        }
+    }
+}
