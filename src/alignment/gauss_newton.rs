@@ -64,7 +64,7 @@ pub fn align(input: &AlignmentInput) -> Evidence {
     assert_eq!((source_image.width, source_image.height), size, "source image and camera have one size");
     assert_eq!((target_image.width, target_image.height), size, "target image and camera have one size");
     assert_eq!(target_depth_m.len(), size.0 * size.1, "one depth a pixel");
-    let Some(pyramid) = pyramid(source_image, target_image, target_depth_m, &camera) else {
+    let Some(mut pyramid) = pyramid(source_image, target_image, target_depth_m, &camera) else {
         return Evidence::none(NoVerdict::NoTexture);
     };
     let finest = &pyramid[LEVELS - 1];
@@ -76,7 +76,7 @@ pub fn align(input: &AlignmentInput) -> Evidence {
     let mut evidence = Evidence::none(NoVerdict::Diverged);
     let mut state = State { source_from_target, gain: 0.0, bias: 0.0 };
     let mut buffer = Vec::new();
-    for (index, level) in pyramid.iter().enumerate() {
+    for (index, level) in pyramid.iter_mut().enumerate() {
         let measured = State { source_from_target, gain: state.gain, bias: state.bias };
         residuals(&level.source, level.camera, &level.points, &measured, &mut buffer);
         let valid = buffer.iter().filter(|residual| !residual.is_nan()).count();
@@ -88,9 +88,18 @@ pub fn align(input: &AlignmentInput) -> Evidence {
             continue;
         }
         let before = scale(&buffer, robust_guess(&buffer), LEAST_RESIDUAL);
-        let Some(aligned) = align_level(level, &mut state, before, longest_m, &mut buffer) else {
-            return Evidence { no_verdict: Some(NoVerdict::NoTexture), ..evidence };
+        let no_texture = Some(NoVerdict::NoTexture);
+        let Some(mut aligned) = align_level(level, &mut state, before, longest_m, &mut buffer) else {
+            return Evidence { no_verdict: no_texture, ..evidence };
         };
+        if index == LEVELS - 1 {
+            // Once more without what moves by itself, which only shows when all else is at rest.
+            level.points.distrust_moving(&buffer, aligned.scale);
+            let Some(again) = align_level(level, &mut state, aligned.scale, longest_m, &mut buffer) else {
+                return Evidence { no_verdict: no_texture, ..evidence };
+            };
+            aligned = again;
+        }
         evidence.levels[index] = LevelEvidence {
             error: Pose::error(&source_from_target, &state.source_from_target),
             information: aligned.information,
@@ -207,12 +216,12 @@ fn pyramid(source: &GreyImage, target: &GreyImage, depth_m: &[f32], camera: &Pin
             return None;
         }
         let camera = intrinsics.map(|value| value as f32);
-        let textured = Textured::new(&source);
-        if level == 0 && !(shows_anything(&textured) && shows_anything(&Textured::new(&target))) {
+        let (seen, wanted) = (Textured::new(&source), Textured::new(&target));
+        if level == 0 && !(shows_anything(&seen) && shows_anything(&wanted)) {
             return None;
         }
-        let points = Points::new(&target.pixels, &depth_m, target.width, camera);
-        levels.push(Level { source: textured, points, camera, pixels: target.pixels.len() });
+        let points = Points::new(&wanted, &depth_m, camera);
+        levels.push(Level { source: seen, points, camera, pixels: target.pixels.len() });
     }
     levels.reverse();
     levels.try_into().ok()

@@ -25,6 +25,11 @@ const OUTLIER: f32 = 3.0;
 /// Least depth in the source camera, m.
 const MIN_DEPTH_M: f32 = 1e-3;
 
+/// Width and height of a tile, px.
+const TILE: usize = 8;
+/// Displacement of a tile, px, that depth, sampling and light explain.
+const STILL_PX: f32 = 0.5;
+
 /// Target pixels of known depth: points in camera axes, m, and what the target image shows there. Padded with points
 /// behind every camera to a whole number of chunks.
 #[derive(Default)]
@@ -33,24 +38,32 @@ pub(super) struct Points {
     pub y: Vec<f32>,
     pub z: Vec<f32>,
     pub grey: Vec<f32>,
+    /// How far each is believed to stand still, 0…1; a factor on its weight.
+    still: Vec<f32>,
+    /// Tile of the target image that each lies in, and its squared gradient there, 1/px²; no padding.
+    tile: Vec<u16>,
+    squared_gradient: Vec<f32>,
+    tiles: usize,
     /// How many are no padding.
     pub known: usize,
 }
 
 impl Points {
-    /// The pixels of a level, `rays` being those of `fx, fy, cx, cy`.
-    pub fn new(grey: &[f32], depth_m: &[f32], width: usize, [fx, fy, cx, cy]: [f32; 4]) -> Self {
-        let capacity = grey.len().next_multiple_of(CHUNK);
-        let list = || Vec::with_capacity(capacity);
-        let mut points = Self { x: list(), y: list(), z: list(), grey: list(), known: 0 };
-        for (row, (greys, depths)) in grey.chunks_exact(width).zip(depth_m.chunks_exact(width)).enumerate() {
+    /// The pixels of a level whose depth is known; `camera` is fx, fy, cx, cy.
+    pub fn new(target: &Textured, depth_m: &[f32], [fx, fy, cx, cy]: [f32; 4]) -> Self {
+        let Textured { width, height, ref pixels } = *target;
+        let tiles_across = width.div_ceil(TILE);
+        let mut points = Self { tiles: tiles_across * height.div_ceil(TILE), ..Self::default() };
+        for (row, (pixels, depths)) in pixels.chunks_exact(width).zip(depth_m.chunks_exact(width)).enumerate() {
             let ray_y = (row as f32 - cy) / fy;
-            for (column, (&grey, &depth)) in greys.iter().zip(depths).enumerate() {
+            for (column, (&[grey, along_row, along_column, _], &depth)) in pixels.iter().zip(depths).enumerate() {
                 if depth > 0.0 && depth.is_finite() {
                     points.x.push((column as f32 - cx) / fx * depth);
                     points.y.push(ray_y * depth);
                     points.z.push(depth);
                     points.grey.push(grey);
+                    points.tile.push((row / TILE * tiles_across + column / TILE) as u16);
+                    points.squared_gradient.push(along_row * along_row + along_column * along_column);
                 }
             }
         }
@@ -60,7 +73,29 @@ impl Points {
             list.resize(padded, 0.0);
         }
         points.z.resize(padded, -f32::MAX);
+        points.still.resize(padded, 1.0);
         points
+    }
+
+    /// Believes a tile to stand still as far as its residuals may come from a displacement of less than [`STILL_PX`],
+    /// the square of which they stand for is `Σ (r² − σ²) / Σ |∇I|²`. Things that move as a whole show so, also where
+    /// their pixels look like the background's.
+    pub fn distrust_moving(&mut self, residuals: &[f32], noise: f32) {
+        let mut sums = vec![[0.0f32; 2]; self.tiles];
+        for ((&tile, &r), &squared_gradient) in self.tile.iter().zip(residuals).zip(&self.squared_gradient) {
+            if !r.is_nan() {
+                let [excess, gradients] = &mut sums[usize::from(tile)];
+                *excess += r * r - noise * noise;
+                *gradients += squared_gradient;
+            }
+        }
+        let trust = |[excess, gradients]: [f32; 2]| {
+            if excess > 0.0 { (STILL_PX * STILL_PX * gradients / excess).min(1.0) } else { 1.0 }
+        };
+        let trust: Vec<f32> = sums.into_iter().map(trust).collect();
+        for (still, &tile) in self.still.iter_mut().zip(&self.tile) {
+            *still = trust[usize::from(tile)].powi(2);
+        }
     }
 }
 
@@ -215,8 +250,8 @@ impl Kernel for Pass<'_> {
         let mut weighted = [[0.0f32; CHUNK]; COLUMNS];
         let lists = points.x.as_chunks::<CHUNK>().0.iter().zip(points.y.as_chunks::<CHUNK>().0);
         let lists = lists.zip(points.z.as_chunks::<CHUNK>().0).zip(points.grey.as_chunks::<CHUNK>().0);
-        let outputs = residuals.as_chunks_mut::<CHUNK>().0;
-        for (index, ((((x, y), z), grey), output)) in lists.zip(outputs).enumerate() {
+        let outputs = points.still.as_chunks::<CHUNK>().0.iter().zip(residuals.as_chunks_mut::<CHUNK>().0);
+        for (index, ((((x, y), z), grey), (still, output))) in lists.zip(outputs).enumerate() {
             project([x, y, z], &pose, camera, [width, height], &mut projected);
             sample(pixels, width, &projected, &mut sampled);
             let [values, along_rows, along_columns] = &sampled;
@@ -249,7 +284,7 @@ impl Kernel for Pass<'_> {
                 let r = columns[UNKNOWNS][k];
                 let square = r * r * precision;
                 let weight = (DEGREES_OF_FREEDOM + 1.0) / (DEGREES_OF_FREEDOM + square);
-                weights[k] = if square < OUTLIER * OUTLIER { weight * projected.valid[k] } else { 0.0 };
+                weights[k] = if square < OUTLIER * OUTLIER { weight * projected.valid[k] * still[k] } else { 0.0 };
                 valid += projected.valid[k];
             }
             for (weighted, column) in weighted.iter_mut().zip(&columns) {
