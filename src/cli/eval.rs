@@ -38,7 +38,9 @@ const RELCOV: &str = "relcov";
 
 --pairs judges the predictions of any program: a CSV with the columns system, drive, source, target,
 error_x … error_yaw, variance_x … variance_yaw, and if you have them covariance_x_y … covariance_pitch_yaw
-(the entries above the diagonal), motion_x … motion_yaw, interval_s, simulated, stated_x_x … stated_yaw_yaw.
+(the entries above the diagonal), motion_x … motion_yaw, interval_s, simulated, stated_x_x … stated_yaw_yaw;
+of a predicted error correction_x … correction_yaw and corrected_x_x … corrected_yaw_yaw, the covariance of what
+it leaves (the predicted covariance is their second moment), and no_verdict, the reason where images say nothing.
 Order x, y, z, roll, pitch, yaw; metres and radians; e = log(measured * truth^-1), a left perturbation.")]
 pub struct EvalArguments {
     /// Run folder of a trained model
