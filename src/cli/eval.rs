@@ -146,6 +146,7 @@ pub fn evaluate_run(
         split: split.name().to_owned(),
         device: device_name(&device),
         unreadable_frames: bad_frames.iter().map(describe).collect(),
+        learned_systems: Some(learned_systems(&manifest).into_iter().map(str::to_owned).collect()),
         recalibration,
         log_variance_floor: manifest.architecture.log_variance_floor,
         configuration: Some(config.to_toml()),
@@ -201,8 +202,7 @@ pub fn predict_table(
         Recalibrate::Anew => {
             let reader = Arc::new(PairReader::new(config, &dataset, SplitName::Validation));
             let predictions = predict(SplitName::Validation, &reader)?;
-            let learned = manifest.systems.iter().filter(|system| system.share > 0.0);
-            let learned: Vec<&str> = learned.map(|system| system.name.as_str()).collect();
+            let learned = learned_systems(manifest);
             let fitted = Recalibration::fit(&predictions, &dataset.systems, &learned, SplitName::Validation.name());
             let fitted =
                 fitted.ok_or_else(|| Error::Data("no factors can be fitted: every component of the learned systems needs errors on the validation pairs".to_owned()))?;
@@ -213,10 +213,16 @@ pub fn predict_table(
     let reader = Arc::new(PairReader::new(config, &dataset, split));
     let mut predictions = predict(split, &reader)?;
     if let Some(recalibration) = &recalibration {
-        predictions.iter_mut().for_each(|row| row.covariance = recalibration.apply(&row.covariance));
+        predictions.iter_mut().for_each(|row| recalibration.apply_to(&mut row.covariance, &mut row.posterior));
     }
     let table = PairTable::from_predictions(&predictions, &dataset, manifest.conventions.error_frame);
     Ok(PredictedTable { dataset, table, recalibration, reader, model, device })
+}
+
+/// The systems that a run learned from.
+fn learned_systems(manifest: &Manifest) -> Vec<&str> {
+    let learned = manifest.systems.iter().filter(|system| system.share > 0.0);
+    learned.map(|system| system.name.as_str()).collect()
 }
 
 /// The baselines that a run keeps of its systems.
