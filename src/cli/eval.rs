@@ -31,6 +31,7 @@ const RELCOV: &str = "relcov";
 #[command(group(ArgGroup::new("judged").required(true).args(["run", "baselines_only", "pairs"])))]
 #[command(after_help = "Examples:
   relcov eval --run checkpoints/kitti_sample
+  relcov eval --run checkpoints/kitti_sample --full
   relcov eval --run checkpoints/kitti_sample --set depth.source=lidar --intervals
   relcov eval --run checkpoints/kitti --split validation --device wgpu --save-table table.tex
   relcov eval --baselines-only --config configs/kitti.toml --set data.root=../shared/kitti
