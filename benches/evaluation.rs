@@ -31,6 +31,8 @@ fn judge(criterion: &mut Criterion) {
             motion: Some([random.random_range(0.1..2.0), 0.0, 0.0, 0.0, 0.01, random.random_range(-0.05..0.05)]),
             error: error.into(),
             covariance: Some(covariance),
+            posterior: None,
+            no_verdict: None,
             stated: Some(covariance),
         }
     };

@@ -24,6 +24,7 @@ import time
 from pathlib import Path
 
 import numpy
+import scipy.linalg
 import scipy.stats
 import uncertainty_toolbox
 from arch.bootstrap import optimal_block_length
@@ -62,12 +63,36 @@ def random_table(random, pairs, full):
     return numpy.array(errors), numpy.array(covariances)
 
 
-def write(path, errors, covariances, full, motions):
+def pose(tangent):
+    generator = numpy.zeros((4, 4))
+    x, y, z = tangent[3:]
+    generator[:3] = numpy.array([[0, -z, y, tangent[0]], [z, 0, -x, tangent[1]], [-y, x, 0, tangent[2]]])
+    return scipy.linalg.expm(generator)
+
+
+def tangent(pose):
+    generator = scipy.linalg.logm(pose).real
+    return numpy.array([*generator[:3, 3], generator[2, 1], generator[0, 2], generator[1, 0]])
+
+
+def corrected(errors, corrections):
+    return numpy.array([tangent(pose(-m) @ pose(e)) for m, e in zip(corrections, errors)])
+
+
+def write(path, errors, covariances, full, motions, corrections=None):
+    """With corrections the covariances are those of what they leave of the errors."""
     above = [(i, j) for i in range(6) for j in range(i + 1, 6)]
+    upper = [(i, j) for i in range(6) for j in range(i, 6)]
+    left = covariances
+    if corrections is not None:
+        covariances, full = left + corrections[:, :, None] * corrections[:, None, :], True
     header = ["system", "drive", "source", "target"]
     header += [f"motion_{c}" for c in COMPONENTS] + [f"error_{c}" for c in COMPONENTS]
     header += [f"variance_{c}" for c in COMPONENTS]
     header += [f"covariance_{COMPONENTS[i]}_{COMPONENTS[j]}" for i, j in above] if full else []
+    if corrections is not None:
+        header += [f"correction_{c}" for c in COMPONENTS]
+        header += [f"corrected_{COMPONENTS[i]}_{COMPONENTS[j]}" for i, j in upper]
     with open(path, "w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(header)
@@ -75,6 +100,9 @@ def write(path, errors, covariances, full, motions):
             row = ["vo", f"drive_{3 * index // len(errors)}", index, index + 1, *map(repr, map(float, motion))]
             row += [repr(float(value)) for value in (*error, *numpy.diag(covariance))]
             row += [repr(float(covariance[i, j])) for i, j in above] if full else []
+            if corrections is not None:
+                row += [repr(float(value)) for value in corrections[index]]
+                row += [repr(float(left[index][i, j])) for i, j in upper]
             writer.writerow(row)
 
 
@@ -82,6 +110,18 @@ def sparsification(key, sizes):
     order = numpy.argsort(-key, kind="stable")
     left = [sizes[order[index:]].mean() for index in range(len(order))]
     return numpy.array(left) / sizes.mean()
+
+
+def bins_by(key):
+    order = numpy.argsort(key, kind="stable")
+    edges = [k * len(order) // 10 for k in range(11)]
+    return [order[first:end] for first, end in zip(edges, edges[1:])]
+
+
+def check_bins(name, found, log_sigma, normalised):
+    bins = bins_by(log_sigma)
+    compare(f"{name} sigma of bins", found["sigma"], [numpy.exp(numpy.mean(log_sigma[b])) for b in bins])
+    compare(f"{name} normalised errors of bins", found["anees"], [numpy.mean(normalised[b]) for b in bins], 1e-8)
 
 
 def check_method(name, metrics, errors, covariances):
@@ -99,6 +139,12 @@ def check_method(name, metrics, errors, covariances):
     compare(f"{name} zms", metrics["zms"], numpy.mean(z**2, axis=0))
     compare(f"{name} coverage", metrics["coverage"], [numpy.mean(numpy.abs(z) <= k, axis=0) for k in (1, 2, 3)])
     compare(f"{name} sharpness", metrics["sharpness"], sigma.mean(axis=0))
+    moves = bool(numpy.ptp(sigma, axis=0).any())
+    compare(f"{name} has conditional calibration", metrics.get("conditional") is not None, moves)
+    if moves:
+        check_bins(f"{name} joint", metrics["conditional"]["joint"], numpy.linalg.slogdet(covariances)[1] / 12, nees / 6)
+        for c, found in enumerate(metrics["conditional"]["by_component"]):
+            check_bins(f"{name} {COMPONENTS[c]}", found, numpy.log(sigma[:, c]), z[:, c] ** 2)
     for c in range(6):
         zeros, s, e = numpy.zeros(len(errors)), sigma[:, c], errors[:, c]
         label = f"{name} {COMPONENTS[c]}"
@@ -114,9 +160,7 @@ def check_method(name, metrics, errors, covariances):
             compare(f"{label} aurg", metrics["aurg"][c] + 1, 1)
             continue
         compare(f"{label} spearman", metrics["spearman"][c], scipy.stats.spearmanr(sizes[:, c], s).statistic)
-        order = numpy.argsort(s, kind="stable")
-        edges = [k * len(order) // 10 for k in range(11)]
-        bins = [order[first:end] for first, end in zip(edges, edges[1:])]
+        bins = bins_by(s)
         rmv = numpy.array([numpy.sqrt(numpy.mean(s[b] ** 2)) for b in bins])
         rmse = numpy.array([numpy.sqrt(numpy.mean(e[b] ** 2)) for b in bins])
         compare(f"{label} ence", metrics["ence"][c], numpy.mean(numpy.abs(rmv - rmse) / rmv))
@@ -159,6 +203,28 @@ def check(relcov, folder, full, seed):
     compare(f"{kind} interval of ANEES, in its width", 1 + off, [1, 1], 0.12)
 
 
+def check_corrected(relcov, folder, seed):
+    """Most of each error is predicted, and what is left judged by its own covariance."""
+    random = numpy.random.default_rng(seed)
+    motions = random.normal(0, [0.5, 0.02, 0.02, 0.01, 0.02, 0.03], (PAIRS, 6))
+    left, covariances = random_table(random, PAIRS, full=True)
+    corrections = random.normal(0, 3, (PAIRS, 6)) * numpy.std(left, axis=0)
+    errors = corrections + left
+    write(folder / "seen.csv", errors, covariances, True, motions, corrections)
+    command = [relcov, "eval", "--quiet", "--error-frame", "vehicle", "--pairs", folder / "seen.csv"]
+    command += ["--save-results", folder / "seen_scores.json"]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    methods = json.loads((folder / "seen_scores.json").read_text())["systems"]["vo"]["methods"]
+    check_method("seen", methods["seen"], errors, covariances + corrections[:, :, None] * corrections[:, None, :])
+    remaining, metrics = corrected(errors, corrections), methods["seen_corrected"]
+    check_method("corrected", metrics, remaining, covariances)
+    ratios, rms = metrics["rms_ratio"], lambda values: numpy.sqrt(numpy.mean(values**2, axis=0))
+    compare("corrected rms_ratio", ratios["components"], rms(remaining) / rms(errors))
+    for part, columns in (("translation", slice(0, 3)), ("rotation", slice(3, 6))):
+        sizes = [numpy.linalg.norm(values[:, columns], axis=1) for values in (remaining, errors)]
+        compare(f"corrected rms_ratio of {part}", ratios[part], rms(sizes[0]) / rms(sizes[1]))
+
+
 def measure(relcov, folder, pairs):
     random = numpy.random.default_rng(7)
     errors, covariances = random_table(random, pairs, full=True)
@@ -184,6 +250,8 @@ def main():
     for full in (False, True):
         with tempfile.TemporaryDirectory() as folder:
             check(arguments.relcov, Path(folder), full, seed=7)
+    with tempfile.TemporaryDirectory() as folder:
+        check_corrected(arguments.relcov, Path(folder), seed=8)
     print(f"{compared} numbers compared, {failures} scores differ")
     sys.exit(1 if failures else 0)
 

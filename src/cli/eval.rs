@@ -31,6 +31,7 @@ const RELCOV: &str = "relcov";
 #[command(group(ArgGroup::new("judged").required(true).args(["run", "baselines_only", "pairs"])))]
 #[command(after_help = "Examples:
   relcov eval --run checkpoints/kitti_sample
+  relcov eval --run checkpoints/kitti_sample --full
   relcov eval --run checkpoints/kitti_sample --set depth.source=lidar --intervals
   relcov eval --run checkpoints/kitti --split validation --device wgpu --save-table table.tex
   relcov eval --baselines-only --config configs/kitti.toml --set data.root=../shared/kitti
@@ -38,7 +39,9 @@ const RELCOV: &str = "relcov";
 
 --pairs judges the predictions of any program: a CSV with the columns system, drive, source, target,
 error_x … error_yaw, variance_x … variance_yaw, and if you have them covariance_x_y … covariance_pitch_yaw
-(the entries above the diagonal), motion_x … motion_yaw, interval_s, simulated, stated_x_x … stated_yaw_yaw.
+(the entries above the diagonal), motion_x … motion_yaw, interval_s, simulated, stated_x_x … stated_yaw_yaw;
+of a predicted error correction_x … correction_yaw and corrected_x_x … corrected_yaw_yaw, the covariance of what
+it leaves (the predicted covariance is their second moment), and no_verdict, the reason where images say nothing.
 Order x, y, z, roll, pitch, yaw; metres and radians; e = log(measured * truth^-1), a left perturbation.")]
 pub struct EvalArguments {
     /// Run folder of a trained model
@@ -144,8 +147,9 @@ pub fn evaluate_run(
         split: split.name().to_owned(),
         device: device_name(&device),
         unreadable_frames: bad_frames.iter().map(describe).collect(),
+        learned_systems: Some(learned_systems(&manifest).into_iter().map(str::to_owned).collect()),
         recalibration,
-        log_variance_floor: manifest.architecture.log_variance_floor,
+        log_variance_floor: manifest.architecture.floor_of_covariances(),
         configuration: Some(config.to_toml()),
     };
     let mut evaluation = evaluate_table(&table, &baselines(&manifest), origin)?;
@@ -199,8 +203,7 @@ pub fn predict_table(
         Recalibrate::Anew => {
             let reader = Arc::new(PairReader::new(config, &dataset, SplitName::Validation));
             let predictions = predict(SplitName::Validation, &reader)?;
-            let learned = manifest.systems.iter().filter(|system| system.share > 0.0);
-            let learned: Vec<&str> = learned.map(|system| system.name.as_str()).collect();
+            let learned = learned_systems(manifest);
             let fitted = Recalibration::fit(&predictions, &dataset.systems, &learned, SplitName::Validation.name());
             let fitted =
                 fitted.ok_or_else(|| Error::Data("no factors can be fitted: every component of the learned systems needs errors on the validation pairs".to_owned()))?;
@@ -211,10 +214,16 @@ pub fn predict_table(
     let reader = Arc::new(PairReader::new(config, &dataset, split));
     let mut predictions = predict(split, &reader)?;
     if let Some(recalibration) = &recalibration {
-        predictions.iter_mut().for_each(|row| row.covariance = recalibration.apply(&row.covariance));
+        predictions.iter_mut().for_each(|row| recalibration.apply_to(&mut row.covariance, &mut row.posterior));
     }
     let table = PairTable::from_predictions(&predictions, &dataset, manifest.conventions.error_frame);
     Ok(PredictedTable { dataset, table, recalibration, reader, model, device })
+}
+
+/// The systems that a run learned from.
+fn learned_systems(manifest: &Manifest) -> Vec<&str> {
+    let learned = manifest.systems.iter().filter(|system| system.share > 0.0);
+    learned.map(|system| system.name.as_str()).collect()
 }
 
 /// The baselines that a run keeps of its systems.

@@ -8,7 +8,21 @@ use super::{Terminal, print_result, progress::note};
 use crate::error::{Error, Result};
 use crate::evaluation::write_pairs;
 use crate::files::write_atomically;
-use crate::report::{Comparison, Intervals, TableFormat, figures, render_results};
+use crate::report::{Comparison, Detail, Intervals, TableFormat, figures, render_results};
+
+/// How much of a result is shown.
+#[derive(Args)]
+pub struct DetailArgument {
+    /// Show every table: CRPS, calibration, true σ, separation of systems
+    #[arg(long)]
+    full: bool,
+}
+
+impl DetailArgument {
+    pub fn detail(&self) -> Detail {
+        if self.full { Detail::Full } else { Detail::Short }
+    }
+}
 
 /// Arguments of results.
 #[derive(Args)]
@@ -16,6 +30,8 @@ pub struct OutputArguments {
     /// Form of the table on stdout
     #[arg(long, value_enum, default_value = "text", value_name = "FORM")]
     format: TableFormat,
+    #[command(flatten)]
+    detail: DetailArgument,
     /// Show block-bootstrap intervals
     #[arg(long)]
     intervals: bool,
@@ -61,11 +77,13 @@ impl OutputArguments {
     /// not cost it.
     pub fn deliver(&self, comparison: &Comparison, terminal: &Terminal) -> anyhow::Result<()> {
         let intervals = if self.intervals { Intervals::Shown } else { Intervals::Hidden };
-        print_result(&render_results(comparison, self.format, intervals))?;
+        let detail = self.detail.detail();
+        print_result(&render_results(comparison, self.format, intervals, detail))?;
         comparison.warnings.iter().for_each(|warning| note(false, &format!("warning: {warning}")));
         let wrote = |path: &Path| note(terminal.quiet, &format!("wrote {}", path.display()));
         if let Some(path) = &self.save_table {
-            write_atomically(path, render_results(comparison, table_format(path)?, intervals).as_bytes())?;
+            let table = render_results(comparison, table_format(path)?, intervals, detail);
+            write_atomically(path, table.as_bytes())?;
             wrote(path);
         }
         if let Some(path) = &self.save_results {

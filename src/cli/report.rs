@@ -16,6 +16,7 @@ use crate::report::{Comparison, Entry, html_page};
 #[command(after_help = "Examples:
   relcov report checkpoints/synthetic
   relcov report checkpoints/synthetic checkpoints/ablation_* --html report.html
+  relcov report checkpoints/synthetic --full
   relcov report before.json after.json --intervals --format markdown
   relcov report checkpoints/kitti --save-table table.tex --save-plot figures
 

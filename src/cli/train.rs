@@ -8,6 +8,7 @@ use anyhow::Context;
 use clap::Args;
 
 use super::eval::{self, Recalibrate};
+use super::output::DetailArgument;
 use super::progress::{Progress, note};
 use super::{Overrides, Terminal, print_result, synth};
 use crate::data::{Dataset, PairScope, SplitName};
@@ -36,6 +37,8 @@ pub struct TrainArguments {
     /// Replace the run that the folder holds already
     #[arg(long, conflicts_with = "resume")]
     force: bool,
+    #[command(flatten)]
+    detail: DetailArgument,
     #[command(flatten)]
     overrides: Overrides,
 }
@@ -73,7 +76,7 @@ pub fn run(arguments: TrainArguments, terminal: &Terminal) -> anyhow::Result<()>
     let entry = eval::evaluate_run(&run, None, SplitName::Test, Recalibrate::AsStored, &arguments.overrides, terminal)?;
     eval::report_gaps(&entry, terminal);
     let comparison = Comparison::new(vec![entry])?;
-    print_result(&render_results(&comparison, TableFormat::Text, Intervals::Hidden))?;
+    print_result(&render_results(&comparison, TableFormat::Text, Intervals::Hidden, arguments.detail.detail()))?;
     eval::store_in_run(&comparison, terminal)
 }
 

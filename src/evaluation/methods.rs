@@ -3,7 +3,8 @@
 use nalgebra::{Matrix6, Vector6};
 
 use super::baselines::Baselines;
-use super::pair_table::SystemPairs;
+use super::pair_table::{PairRow, SystemPairs};
+use super::recalibration::scale;
 use crate::geometry::Covariance6;
 
 /// A way to give a measurement its covariance.
@@ -13,6 +14,9 @@ pub enum Method {
     Predicted,
     /// The same as the network puts them out, where they were recalibrated.
     Uncalibrated,
+    /// Measurements corrected by the part of their error that was predicted, `exp(−μ) T̂`, with the covariance C of what is
+    /// left. Judged on errors of its own ([`Method::errors`]).
+    Corrected,
     /// No error at all: what MDE alone may reward.
     Zero,
     /// The system's mean e² over the training set.
@@ -34,9 +38,10 @@ pub enum Method {
 
 impl Method {
     /// Those of the tables of an evaluation, in their order.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 10] = [
         Self::Predicted,
         Self::Uncalibrated,
+        Self::Corrected,
         Self::Zero,
         Self::Constant,
         Self::ConstantMad,
@@ -45,6 +50,11 @@ impl Method {
         Self::Oracle,
         Self::OracleDiagonal,
     ];
+
+    /// Whether it is what a model predicts, in whichever form.
+    pub fn is_predicted(self) -> bool {
+        matches!(self, Self::Predicted | Self::Uncalibrated | Self::Corrected)
+    }
 
     /// Whether predictions of that name would be taken for a baseline.
     pub fn is_taken(name: &str) -> bool {
@@ -56,6 +66,7 @@ impl Method {
         match self {
             Self::Predicted => predicted.to_owned(),
             Self::Uncalibrated => format!("{predicted}_uncalibrated"),
+            Self::Corrected => format!("{predicted}_corrected"),
             Self::Zero => "zero".to_owned(),
             Self::Constant => "constant".to_owned(),
             Self::ConstantFull => "constant_full".to_owned(),
@@ -83,8 +94,15 @@ impl Method {
             Self::Predicted => system.rows.iter().map(|row| row.covariance).collect(),
             Self::Uncalibrated => {
                 let undone = recalibration?.map(f64::recip);
-                system.rows.iter().map(|row| Some(row.covariance?.scaled(&undone))).collect()
+                let before = |row: &PairRow| {
+                    let (mut covariance, mut posterior) = (row.covariance?, row.posterior);
+                    scale(&undone, &mut covariance, &mut posterior);
+                    Some(covariance)
+                };
+                system.rows.iter().map(before).collect()
             }
+            Self::Corrected if system.rows.iter().all(|row| row.posterior.is_none()) => None,
+            Self::Corrected => system.rows.iter().map(PairRow::corrected_covariance).collect(),
             Self::Zero => Some(repeated(&[0.0; 6])),
             Self::Constant => Some(repeated(&baselines?.mean_squared_error)),
             Self::ConstantFull => {
@@ -105,5 +123,52 @@ impl Method {
             }
             Self::Stated => stated().filter(|_| !system.simulated),
         }
+    }
+
+    /// The errors that its covariances should cover, row by row, m and rad: those of the measurements, and of
+    /// corrected measurements what is left of them.
+    pub fn errors(self, system: &SystemPairs) -> Vec<[f64; 6]> {
+        match self {
+            Self::Corrected => system.rows.iter().map(PairRow::corrected_error).collect(),
+            _ => system.errors(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::evaluation::Recalibration;
+    use crate::evaluation::pair_table::made_row as row;
+    use crate::geometry::{Posterior, Tangent};
+
+    #[test]
+    fn what_was_recalibrated_is_given_back() {
+        let posterior = Posterior {
+            mean: Tangent::new(0.1, -0.2, 0.3, 0.01, -0.02, 0.03),
+            covariance: Covariance6::from_std_devs(&Tangent::repeat(0.02)),
+        };
+        let seen =
+            PairRow { covariance: Some(posterior.second_moment()), posterior: Some(posterior), ..row(0, 0.1, 1.0) };
+        let mut rows = vec![seen, row(1, -0.3, 0.04)];
+        let before: Vec<Covariance6> = rows.iter().filter_map(|row| row.covariance).collect();
+        let recalibration = Recalibration {
+            factors: [0.5, 2.0, 1.0, 4.0, 0.25, 1.5],
+            split: "validation".to_owned(),
+            systems: vec!["vo".to_owned()],
+            pairs: 2,
+        };
+        for row in &mut rows {
+            recalibration.apply_to(row.covariance.as_mut().unwrap(), &mut row.posterior);
+        }
+        let system = SystemPairs { name: "vo".to_owned(), simulated: false, rows };
+        let found = Method::Uncalibrated.covariances(&system, None, Some(&recalibration.factors)).unwrap();
+        for (found, before) in found.iter().zip(&before) {
+            approx::assert_relative_eq!(found.matrix(), before.matrix(), epsilon = 1e-12);
+        }
+        // What was seen of the error does not depend on factors; what is left does.
+        let corrected = Method::Corrected.covariances(&system, None, Some(&recalibration.factors)).unwrap();
+        assert_eq!(corrected[0], posterior.covariance.scaled(&recalibration.factors));
+        assert_eq!(Method::Corrected.errors(&system)[1], system.rows[1].error);
     }
 }

@@ -1,20 +1,18 @@
 //! Metrics of predicted covariances; z = e/√R throughout, R the diagonal.
 
-use std::ops::Range;
-
 use libm::erf;
 use serde::{Deserialize, Serialize};
 
 use super::against_true::AgainstTrue;
 use super::bootstrap::Resamples;
+use super::calibration::{ConditionalCalibration, ence};
+use super::correction::RmsRatio;
 use super::ranks::{quantile, spearman};
 use super::sparsification::sparsification_areas;
 use crate::geometry::Covariance6;
 
 /// Squared Mahalanobis distance that a 6-dimensional Gaussian error stays below with probability 0.95.
 pub const CHI_SQUARED_6_95: f64 = 12.592;
-/// Bins of the expected normalised calibration error.
-pub const CALIBRATION_BINS: usize = 10;
 
 /// How well covariances describe errors. What does not exist for a method (the likelihood of a zero
 /// variance, the rank correlation of a constant, the calibration against errors that are all zero) is `None`.
@@ -51,6 +49,9 @@ pub struct Metrics {
     /// Expected normalised calibration error, mean over bins of σ of |RMV − RMSE| / RMV (Levi et al. 2022):
     /// 0 when calibrated wherever σ is small or large.
     pub ence: Option<[f64; 6]>,
+    /// Calibration where the covariance is small and where it is large; `None` for one that never changes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub conditional: Option<ConditionalCalibration>,
     /// Area under the sparsification error: 0 when σ ranks pairs as |e| does.
     pub ause: [Option<f64>; 6],
     /// Area under the random gain: above 0 when σ ranks errors better than chance.
@@ -59,6 +60,9 @@ pub struct Metrics {
     pub spearman: [Option<f64>; 6],
     /// Mean of √R, m and rad.
     pub sharpness: [f64; 6],
+    /// What a correction leaves of the errors, of corrected measurements.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rms_ratio: Option<RmsRatio>,
     /// Share of outputs on the variance floor.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub at_floor: Option<f64>,
@@ -76,11 +80,13 @@ pub struct Difference {
     pub interval: [f64; 2],
 }
 
-/// Squared Mahalanobis distances and log-determinants of rows.
+/// Scores of whole matrices, row by row.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct JointScores {
     /// eᵀR⁻¹e.
     pub(super) nees: Vec<f64>,
+    /// ln det R.
+    pub(super) log_determinant: Vec<f64>,
     /// ½(6 ln 2π + ln det R + eᵀR⁻¹e), nats.
     pub(super) nll: Vec<f64>,
 }
@@ -91,13 +97,16 @@ impl JointScores {
         if errors.iter().flatten().all(|&error| error == 0.0) {
             return None;
         }
-        let (mut nees, mut nll) = (Vec::with_capacity(errors.len()), Vec::with_capacity(errors.len()));
-        for (covariance, &error) in covariances.iter().zip(errors) {
-            let (distance, log_determinant) = covariance.mahalanobis(&error.into())?;
-            nees.push(distance);
-            nll.push(0.5 * (6.0 * std::f64::consts::TAU.ln() + log_determinant + distance));
-        }
-        Some(Self { nees, nll })
+        let rows = covariances.iter().zip(errors);
+        let (nees, log_determinant): (Vec<f64>, Vec<f64>) = rows
+            .map(|(covariance, &error)| covariance.mahalanobis(&error.into()))
+            .collect::<Option<Vec<_>>>()?
+            .into_iter()
+            .unzip();
+        let nll = nees.iter().zip(&log_determinant);
+        let nll = nll
+            .map(|(distance, log_determinant)| 0.5 * (6.0 * std::f64::consts::TAU.ln() + log_determinant + distance));
+        Some(Self { nll: nll.collect(), nees, log_determinant })
     }
 }
 
@@ -170,6 +179,11 @@ pub(super) fn evaluate_over(
             [1.0, 4.0, 9.0].map(|limit| per_component(|c| share(&z_squared[c], |value| value <= limit)))
         }),
         ence: joint.is_some().then(|| per_component(|c| ence(&error[c], &sigma[c]))),
+        conditional: joint
+            .as_ref()
+            .zip(z_squared.as_ref())
+            .filter(|_| covariances.iter().any(|covariance| *covariance != covariances[0]))
+            .map(|(joint, z_squared)| ConditionalCalibration::of(joint, &sigma, z_squared)),
         ause: areas.map(|areas| Some(areas?[0])),
         aurg: areas.map(|areas| Some(areas?[1])),
         spearman: std::array::from_fn(|c| {
@@ -177,6 +191,7 @@ pub(super) fn evaluate_over(
             spearman(&sizes, &sigma[c])
         }),
         sharpness: per_component(|c| mean(&sigma[c])),
+        rms_ratio: None,
         at_floor: None,
         against_true: None,
     })
@@ -208,45 +223,6 @@ fn crps(error: f64, sigma: f64) -> f64 {
     let density = (-0.5 * z * z).exp() / std::f64::consts::TAU.sqrt();
     // 2Φ(z) − 1 is erf(z/√2).
     sigma * (z * erf(z * std::f64::consts::FRAC_1_SQRT_2) + 2.0 * density - std::f64::consts::PI.sqrt().recip())
-}
-
-fn ence(errors: &[f64], sigma: &[f64]) -> f64 {
-    let bins = calibration_bins(errors, sigma);
-    bins.iter().map(|bin| (bin.sigma - bin.error).abs() / bin.sigma).sum::<f64>() / bins.len() as f64
-}
-
-/// Root mean squares over the pairs of a bin of σ, m or rad.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CalibrationBin {
-    /// Of σ (root mean variance, RMV).
-    pub sigma: f64,
-    /// Of the error (RMSE).
-    pub error: f64,
-}
-
-/// Pairs sorted by σ in ten bins of equal count; equal σ share a bin, so a constant has one.
-pub fn calibration_bins(errors: &[f64], sigma: &[f64]) -> Vec<CalibrationBin> {
-    let mut order: Vec<u32> = (0..sigma.len() as u32).collect();
-    order.sort_unstable_by(|&a, &b| sigma[a as usize].total_cmp(&sigma[b as usize]));
-    let sigma_at = |place: usize| sigma[order[place] as usize];
-    let mut edges = vec![0];
-    for bin in 1..=CALIBRATION_BINS {
-        let mut edge = bin * order.len() / CALIBRATION_BINS;
-        while edge > 0 && edge < order.len() && sigma_at(edge) == sigma_at(edge - 1) {
-            edge += 1;
-        }
-        if edge > *edges.last().expect("begins with one") {
-            edges.push(edge);
-        }
-    }
-    let bin = |places: Range<usize>| {
-        let count = places.len() as f64;
-        let root_mean_square = |values: &[f64]| -> f64 {
-            (order[places.clone()].iter().map(|&index| values[index as usize].powi(2)).sum::<f64>() / count).sqrt()
-        };
-        CalibrationBin { sigma: root_mean_square(sigma), error: root_mean_square(errors) }
-    };
-    edges.windows(2).map(|edges| bin(edges[0]..edges[1])).collect()
 }
 
 #[cfg(test)]
@@ -296,14 +272,5 @@ mod tests {
         assert_eq!((truth.nll, truth.crps, truth.coverage, truth.ause), (None, None, None, [None; 6]));
         assert_eq!(truth.sharpness, [1.0; 6]);
         assert_eq!(evaluate(&[], &[], None), None);
-    }
-
-    #[test]
-    fn bins_hold_equal_counts_and_never_part_equal_sigmas() {
-        let sigma: Vec<f64> = (1..=20).map(f64::from).collect();
-        let bins = calibration_bins(&[2.0; 20], &sigma);
-        assert_eq!((bins.len(), bins[0]), (10, CalibrationBin { sigma: 2.5_f64.sqrt(), error: 2.0 }));
-        assert_eq!(calibration_bins(&[3.0; 20], &[1.0; 20]), [CalibrationBin { sigma: 1.0, error: 3.0 }]);
-        assert_eq!(calibration_bins(&[3.0; 4], &[1.0, 1.0, 1.0, 2.0]).len(), 2);
     }
 }

@@ -6,6 +6,9 @@
 //! | `error_x` … `error_yaw` | e, m and rad |
 //! | `variance_x` … `variance_yaw` | diagonal of the predicted covariance, m² and rad² |
 //! | `covariance_x_y` … `covariance_pitch_yaw` | the 15 entries above its diagonal; none of them: zero |
+//! | `correction_x` … `correction_yaw` | μ, what was predicted of the error itself, m and rad; optional, empty for a measurement without |
+//! | `corrected_x_x` … `corrected_yaw_yaw` | C, covariance of what the correction leaves of the error (21 entries); comes with it, and the predicted covariance is `C + μ μᵀ` |
+//! | `no_verdict` | why the images say nothing of this error; optional, mostly empty |
 //! | `motion_x` … `motion_yaw` | measured motion, vehicle axes, m and rad; optional |
 //! | `interval_s` | time between the frames, s; optional |
 //! | `simulated`, `stated_x_x` … `stated_yaw_yaw` | covariance that the measurement states (21 entries), and whether it is the true one; optional |
@@ -15,6 +18,7 @@
 use std::path::Path;
 
 use super::pair_table::PairTable;
+use crate::alignment::NoVerdict;
 use crate::error::{Error, Place, Result};
 use crate::files::write_atomically;
 use crate::geometry::{Conventions, Covariance6};
@@ -22,6 +26,7 @@ use crate::geometry::{Conventions, Covariance6};
 pub(super) const KEYS: [&str; 4] = ["system", "drive", "source", "target"];
 pub(super) const INTERVAL: &str = "interval_s";
 pub(super) const SIMULATED: &str = "simulated";
+pub(super) const NO_VERDICT: &str = "no_verdict";
 
 pub(super) fn columns(prefix: &str) -> [String; 6] {
     Conventions::COMPONENTS.map(|component| format!("{prefix}_{component}"))
@@ -53,6 +58,8 @@ fn to_csv(table: &PairTable) -> Result<Vec<u8>, csv::Error> {
     let rows = || table.systems.iter().flat_map(|system| &system.rows);
     let predicted = rows().any(|row| row.covariance.is_some());
     let full = rows().any(|row| row.covariance.is_some_and(|covariance| !covariance.is_diagonal()));
+    let corrected = rows().any(|row| row.posterior.is_some());
+    let explained = rows().any(|row| row.no_verdict.is_some());
     let stated = rows().any(|row| row.stated.is_some());
     let moved = rows().any(|row| row.motion.is_some());
     let timed = rows().any(|row| row.interval_s.is_some());
@@ -62,6 +69,11 @@ fn to_csv(table: &PairTable) -> Result<Vec<u8>, csv::Error> {
     header.extend(columns("error"));
     header.extend(predicted.then(|| columns("variance")).into_iter().flatten());
     header.extend(full.then(|| entry_columns("covariance", 1)).into_iter().flatten());
+    if corrected {
+        header.extend(columns("correction"));
+        header.extend(entry_columns("corrected", 0));
+    }
+    header.extend(explained.then(|| NO_VERDICT.to_owned()));
     if stated {
         header.push(SIMULATED.to_owned());
         header.extend(entry_columns("stated", 0));
@@ -88,6 +100,14 @@ fn to_csv(table: &PairTable) -> Result<Vec<u8>, csv::Error> {
             if full {
                 record.extend(upper(1).map(|at| entry(&row.covariance, at)));
             }
+            if corrected {
+                record.extend((0..6).map(|c| cell(row.posterior.map(|posterior| posterior.mean[c]))));
+                let left = row.posterior.map(|posterior| posterior.covariance);
+                record.extend(upper(0).map(|at| entry(&left, at)));
+            }
+            if explained {
+                record.push(row.no_verdict.map_or("", NoVerdict::name).to_owned());
+            }
             if stated {
                 record.push(system.simulated.to_string());
                 record.extend(upper(0).map(|at| entry(&row.stated, at)));
@@ -106,11 +126,12 @@ mod tests {
 
     use super::*;
     use crate::evaluation::{PairRow, SystemPairs, read_pairs};
-    use crate::geometry::{ErrorFrame, Tangent};
+    use crate::geometry::{ErrorFrame, Posterior, Tangent};
 
     fn table() -> PairTable {
         let full = Covariance6::from_std_devs(&Tangent::new(0.1, 0.2, 0.3, 0.01, 0.02, 0.03))
             .transported(&crate::geometry::Pose::exp(&Tangent::new(0.3, 0.1, 0.2, 0.1, -0.2, 0.3)));
+        let posterior = Posterior { mean: Tangent::new(0.07, -0.11, 0.2, 2e-3, 0.0, 0.04), covariance: full };
         let row = |source: usize, covariance| PairRow {
             drive: Arc::from("2011_09_30_drive_0034_sync"),
             source,
@@ -119,11 +140,11 @@ mod tests {
             motion: Some([0.9, 0.0, 0.0, 0.0, 1e-3, 2e-2]),
             error: [0.1, -0.2, 0.3, 1e-3, 0.0, 1.0 / 3.0],
             covariance: Some(covariance),
-            posterior: None,
-            no_verdict: None,
+            posterior: (source == 6).then_some(posterior),
+            no_verdict: (source == 7).then_some(NoVerdict::Diverged),
             stated: (source == 7).then_some(full),
         };
-        let rows = vec![row(6, full), row(7, Covariance6::from_std_devs(&Tangent::repeat(0.5)))];
+        let rows = vec![row(6, posterior.second_moment()), row(7, Covariance6::from_std_devs(&Tangent::repeat(0.5)))];
         let systems = vec![SystemPairs { name: "vo".to_owned(), simulated: true, rows }];
         PairTable { error_frame: ErrorFrame::Vehicle, systems }
     }
@@ -146,6 +167,7 @@ mod tests {
         assert!(read(broken.as_bytes()).unwrap_err().to_string().contains("line 3"));
         for row in &mut table.systems[0].rows {
             (row.motion, row.interval_s, row.covariance, row.stated) = (None, None, None, None);
+            (row.posterior, row.no_verdict) = (None, None);
         }
         table.systems[0].simulated = false;
         assert_eq!(read(&to_csv(&table).unwrap()).unwrap(), table);
@@ -168,6 +190,14 @@ mod tests {
             (good.replacen("2.5e-1", "", 1), "`variance_x` = ``"),
             (good.replacen("variance_yaw", "varianse_yaw", 1), "an unknown column `varianse_yaw`"),
             (good.replacen(",error_yaw", "", 1), "no column `error_yaw`"),
+            (good.replacen(",7e-2,", ",,", 1), "line 2: found `correction_x` = ``"),
+            (good.replacen(",7e-2,", ",7e-3,", 1), "corrected_x_x + correction_x * correction_x"),
+            (good.replacen("corrected_x_yaw", "corected_x_yaw", 1), "an unknown column `corected_x_yaw`"),
+            (good.replacen(",corrected_x_yaw", "", 1), "no column `corrected_x_yaw`"),
+            (
+                good.replacen("diverged", "lost", 1),
+                "line 3: found `no_verdict` = `lost`; expected one of `no_depth`, `no_overlap`, `no_texture`, `diverged`",
+            ),
             (
                 format!("{good}{}\n", rows[1]),
                 "line 4: found vo 2011_09_30_drive_0034_sync frames 6 and 7 again, first on line 2",
@@ -176,6 +206,24 @@ mod tests {
             (format!("{good}vo,a\n"), "line 4"),
         ] {
             let error = read(text.as_bytes()).unwrap_err().to_string();
+            assert!(error.contains(expected), "{error}\nexpected: {expected}");
+        }
+    }
+
+    #[test]
+    fn a_correction_comes_with_its_covariance_and_that_of_the_measurement() {
+        let lines = |groups: &[&[String]]| {
+            let columns = [&KEYS.map(str::to_owned)[..], &columns("error"), &groups.concat()].concat();
+            format!("{}\nvo,a,0,1{}\n", columns.join(","), ",1".repeat(columns.len() - KEYS.len()))
+        };
+        let (variance, correction, corrected) =
+            (columns("variance"), columns("correction"), entry_columns("corrected", 0));
+        for (groups, expected) in [
+            (&[&variance[..], &correction][..], "corrections without their covariance; expected corrected_x_x, "),
+            (&[&variance, &corrected], "covariances of corrections without the corrections; expected correction_x, "),
+            (&[&correction, &corrected], "corrections without predicted covariances; expected variance_x, "),
+        ] {
+            let error = read(lines(groups).as_bytes()).unwrap_err().to_string();
             assert!(error.contains(expected), "{error}\nexpected: {expected}");
         }
     }

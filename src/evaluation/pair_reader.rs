@@ -5,21 +5,29 @@ use std::path::Path;
 use std::sync::Arc;
 
 use nalgebra::Matrix6;
+use serde::Deserialize;
+use serde::de::IntoDeserializer;
+use serde::de::value::Error as UnknownName;
 
-use super::pair_file::{INTERVAL, KEYS, SIMULATED, columns, entry_columns, upper};
+use super::pair_file::{INTERVAL, KEYS, NO_VERDICT, SIMULATED, columns, entry_columns, upper};
 use super::pair_table::{PairRow, PairTable, SystemPairs};
+use crate::alignment::NoVerdict;
 use crate::error::{Error, Place, Result};
 use crate::files::is_plain;
-use crate::geometry::{Covariance6, ErrorFrame};
+use crate::geometry::{Conventions, Covariance6, ErrorFrame, Posterior};
 
 /// Largest error that a relative pose can have, m or rad: scores of larger ones are no finite numbers.
 const LARGEST: f64 = 1e6;
+/// Largest difference of a predicted covariance from the second moment of what was predicted of the error, in
+/// standard deviations: six digits of a file are enough.
+const SECOND_MOMENT_TOLERANCE: f64 = 1e-5;
 
 /// Reads a table.
 ///
 /// # Errors
 /// Names the line and column: a value is missing, not a number, or a covariance is not positive; a measurement
-/// stands there twice; a column is unknown.
+/// stands there twice; a column is unknown; a correction lacks its covariance, or the predicted covariance is not their
+/// second moment.
 pub fn read_pairs(path: &Path, error_frame: ErrorFrame) -> Result<PairTable> {
     let file = std::fs::File::open(path).map_err(Error::io("read", path))?;
     // A line ends with its line feed, so that lines of Windows files are counted right.
@@ -61,6 +69,7 @@ pub fn read_pairs(path: &Path, error_frame: ErrorFrame) -> Result<PairTable> {
             return Err(broken(line, found));
         }
         systems[index].simulated |= layout.simulated.map_or(Ok(false), |column| row.flag(column))?;
+        let covariance = layout.predicted.as_ref().map(|entries| row.covariance(entries)).transpose()?;
         systems[index].rows.push(PairRow {
             drive,
             source,
@@ -71,9 +80,12 @@ pub fn read_pairs(path: &Path, error_frame: ErrorFrame) -> Result<PairTable> {
                 _ => None,
             },
             error: row.error(&layout.error)?,
-            covariance: layout.predicted.as_ref().map(|entries| row.covariance(entries)).transpose()?,
-            posterior: None,
-            no_verdict: None,
+            covariance,
+            posterior: match (&layout.posterior, &covariance) {
+                (Some(columns), Some(covariance)) => row.posterior(columns, covariance)?,
+                _ => None,
+            },
+            no_verdict: layout.no_verdict.map(|column| row.no_verdict(column)).transpose()?.flatten(),
             stated: match &layout.stated {
                 Some(entries) if !row.is_empty(entries[0].1) => Some(row.covariance(entries)?),
                 _ => None,
@@ -97,63 +109,73 @@ struct Layout {
     keys: [usize; 4],
     interval: Option<usize>,
     simulated: Option<usize>,
+    no_verdict: Option<usize>,
     motion: Option<[usize; 6]>,
     error: [usize; 6],
     predicted: Option<Entries>,
+    posterior: Option<([usize; 6], Entries)>,
     stated: Option<Entries>,
 }
 
 impl Layout {
     fn find(path: &Path, header: &csv::StringRecord) -> Result<Self> {
-        let groups: [Vec<String>; 7] = [
-            KEYS.map(str::to_owned).into(),
-            columns("error").into(),
-            columns("variance").into(),
-            entry_columns("covariance", 1),
-            columns("motion").into(),
-            entry_columns("stated", 0),
-            vec![INTERVAL.to_owned(), SIMULATED.to_owned()],
-        ];
+        let keys = KEYS.map(str::to_owned);
+        let [error, variance, correction, motion] = ["error", "variance", "correction", "motion"].map(columns);
+        let [beside, corrected, stated] =
+            [("covariance", 1), ("corrected", 0), ("stated", 0)].map(|(prefix, offset)| entry_columns(prefix, offset));
+        let single = [INTERVAL, SIMULATED, NO_VERDICT].map(str::to_owned);
+        let groups: [&[String]; 9] =
+            [&keys, &error, &variance, &beside, &correction, &corrected, &motion, &stated, &single];
         let broken = |found: String, expected: String| Error::malformed(path, Place::Line(1), found, expected);
         for (index, name) in header.iter().enumerate() {
             if header.iter().take(index).any(|before| before == name) {
                 return Err(broken(format!("a second column `{name}`"), "each column once".to_owned()));
             }
-            if !groups.iter().flatten().any(|known| known == name) {
+            if !groups.iter().copied().flatten().any(|known| known == name) {
                 return Err(broken(
                     format!("an unknown column `{name}`"),
                     "the columns that `relcov eval --help` lists".to_owned(),
                 ));
             }
         }
-        let position = |name: &String| header.iter().position(|column| column == name);
-        // All columns of a group, or none of an optional one.
-        let group = |names: &[String], optional: bool| -> Result<Option<Vec<usize>>> {
-            let found: Vec<Option<usize>> = names.iter().map(position).collect();
-            if optional && found.iter().all(Option::is_none) {
-                return Ok(None);
-            }
-            match found.iter().position(Option::is_none) {
-                None => Ok(Some(found.into_iter().flatten().collect())),
-                Some(missing) => Err(broken(format!("no column `{}`", names[missing]), names.join(", "))),
-            }
+        let position = |name: &str| header.iter().position(|column| column == name);
+        let required = |names: &[String]| -> Result<Vec<usize>> {
+            let found =
+                |name: &String| position(name).ok_or_else(|| broken(format!("no column `{name}`"), names.join(", ")));
+            names.iter().map(found).collect()
         };
-        let required = |names: &[String]| group(names, false).map(|found| found.expect("required"));
+        // All columns of a group or none.
+        let optional = |names: &[String]| -> Result<Option<Vec<usize>>> {
+            let any = names.iter().any(|name| position(name).is_some());
+            any.then(|| required(names)).transpose()
+        };
         let six = |columns: Vec<usize>| <[usize; 6]>::try_from(columns).expect("six columns");
-        let diagonal: Option<Entries> =
-            group(&groups[2], true)?.map(|found| (0..6).map(|c| (c, c)).zip(found).collect());
-        let beside: Option<Entries> = group(&groups[3], true)?.map(|found| upper(1).zip(found).collect());
-        if beside.is_some() && diagonal.is_none() {
-            return Err(broken("covariances without variances".to_owned(), groups[2].join(", ")));
+        let diagonal: Option<Entries> = optional(&variance)?.map(|found| (0..6).map(|c| (c, c)).zip(found).collect());
+        let above: Option<Entries> = optional(&beside)?.map(|found| upper(1).zip(found).collect());
+        let lacking =
+            |what: &str, lacks: &str, names: &[String]| broken(format!("{what} without {lacks}"), names.join(", "));
+        if above.is_some() && diagonal.is_none() {
+            return Err(lacking("covariances", "variances", &variance));
         }
+        let posterior = match (optional(&correction)?, optional(&corrected)?) {
+            (None, None) => None,
+            (Some(_), None) => return Err(lacking("corrections", "their covariance", &corrected)),
+            (None, Some(_)) => return Err(lacking("covariances of corrections", "the corrections", &correction)),
+            (Some(_), Some(_)) if diagonal.is_none() => {
+                return Err(lacking("corrections", "predicted covariances", &variance));
+            }
+            (Some(mean), Some(covariance)) => Some((six(mean), upper(0).zip(covariance).collect())),
+        };
         Ok(Self {
-            keys: required(&groups[0])?.try_into().expect("four columns"),
-            interval: position(&groups[6][0]),
-            simulated: position(&groups[6][1]),
-            motion: group(&groups[4], true)?.map(six),
-            error: six(required(&groups[1])?),
-            predicted: diagonal.map(|diagonal| diagonal.into_iter().chain(beside.unwrap_or_default()).collect()),
-            stated: group(&groups[5], true)?.map(|found| upper(0).zip(found).collect()),
+            keys: required(&keys)?.try_into().expect("four columns"),
+            interval: position(INTERVAL),
+            simulated: position(SIMULATED),
+            no_verdict: position(NO_VERDICT),
+            motion: optional(&motion)?.map(six),
+            error: six(required(&error)?),
+            predicted: diagonal.map(|diagonal| diagonal.into_iter().chain(above.unwrap_or_default()).collect()),
+            posterior,
+            stated: optional(&stated)?.map(|found| upper(0).zip(found).collect()),
         })
     }
 }
@@ -239,6 +261,45 @@ impl Row<'_> {
         let prefix = self.header[entries[0].1].split('_').next().unwrap_or_default();
         covariance.ok_or_else(|| {
             self.broken(format!("the entries `{prefix}_…` are no covariance"), "a positive definite matrix")
+        })
+    }
+
+    /// What was predicted of the error itself; all of its cells, or none.
+    fn posterior(&self, (mean, entries): &([usize; 6], Entries), predicted: &Covariance6) -> Result<Option<Posterior>> {
+        if mean.iter().chain(entries.iter().map(|(_, place)| place)).all(|&column| self.is_empty(column)) {
+            return Ok(None);
+        }
+        let posterior = Posterior { mean: self.error(mean)?.into(), covariance: self.covariance(entries)? };
+        let (second_moment, std_devs) = (posterior.second_moment(), predicted.std_devs());
+        let off = |&(row, column): &(usize, usize)| {
+            let difference = predicted.matrix()[(row, column)] - second_moment.matrix()[(row, column)];
+            difference.abs() > SECOND_MOMENT_TOLERANCE * std_devs[row] * std_devs[column]
+        };
+        match upper(0).find(off) {
+            None => Ok(Some(posterior)),
+            Some((row, column)) => {
+                let [first, second] = [row, column].map(|component| Conventions::COMPONENTS[component]);
+                let [found, expected] = [predicted, &second_moment].map(|matrix| matrix.matrix()[(row, column)]);
+                let (name, corrected) = match row == column {
+                    true => (format!("variance_{first}"), format!("corrected_{first}_{first}")),
+                    false => (format!("covariance_{first}_{second}"), format!("corrected_{first}_{second}")),
+                };
+                let expected = format!("{expected:e}: {corrected} + correction_{first} * correction_{second}");
+                Err(self.broken(format!("`{name}` = {found:e}"), &expected))
+            }
+        }
+    }
+
+    fn no_verdict(&self, column: usize) -> Result<Option<NoVerdict>> {
+        let text = self.record[column].trim();
+        if text.is_empty() {
+            return Ok(None);
+        }
+        NoVerdict::deserialize(text.into_deserializer()).map(Some).map_err(|error: UnknownName| {
+            // Its message ends with the names there are.
+            let message = error.to_string();
+            let expected = message.rsplit_once("expected ").map_or(message.as_str(), |(_, names)| names);
+            self.broken(format!("`{}` = `{text}`", &self.header[column]), expected)
         })
     }
 }

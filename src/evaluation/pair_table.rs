@@ -4,6 +4,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
+use super::correction::{corrected_covariance, corrected_error};
 use super::prediction::Prediction;
 use crate::alignment::NoVerdict;
 use crate::data::{Dataset, Pair, PairId, Split};
@@ -168,6 +169,16 @@ impl PairRow {
     /// Which frames, in an order that sorts them.
     pub fn key(&self) -> (Arc<str>, usize, usize) {
         (self.drive.clone(), self.source, self.target)
+    }
+
+    /// What is left of the error once the predicted part is taken away; e where none was predicted. m and rad.
+    pub fn corrected_error(&self) -> [f64; 6] {
+        corrected_error(&self.error, self.posterior.as_ref())
+    }
+
+    /// The predicted covariance of what is left; R where no part of the error was predicted.
+    pub fn corrected_covariance(&self) -> Option<Covariance6> {
+        Some(corrected_covariance(&self.covariance?, self.posterior.as_ref()))
     }
 
     /// Measured speed, m/s.

@@ -4,9 +4,9 @@
 use nalgebra::{Matrix6, Vector6};
 use serde::{Deserialize, Serialize};
 
+use super::correction::{corrected_covariance, corrected_error};
 use super::prediction::Prediction;
 use crate::geometry::{Covariance6, Posterior};
-use crate::model::Estimate;
 
 /// No model is off by more, and its inverse.
 const LARGEST_FACTOR: f64 = 1e6;
@@ -16,7 +16,8 @@ const MOST_SWEEPS: usize = 1000;
 /// Factors on variances, fitted to pairs that the weights did not learn from.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Recalibration {
-    /// Factor on the variance of each component: `R' = D(√s) R D(√s)`; ln s is added to the log-variance.
+    /// Factor on the variance of each component: `R' = D(√s) R D(√s)`; ln s is added to the log-variance. Where the error
+    /// itself was predicted too, on the variances that are left of it: `C' = D(√s) C D(√s)`, `R' = C' + μμᵀ`.
     pub factors: [f64; 6],
     /// The split it was fitted to.
     pub split: String,
@@ -27,8 +28,9 @@ pub struct Recalibration {
 }
 
 impl Recalibration {
-    /// The most likely factors over the systems that were learned from and have errors; `None` without any. For diagonal covariances the
-    /// mean z² of each component.
+    /// The most likely factors over the systems that were learned from and have errors; `None` without any. For diagonal
+    /// covariances the mean z² of each component. With a posterior they are judged by what the correction leaves of the
+    /// error, and C.
     ///
     /// `learned` names those that were learned from: the factors are of the model, not of what it is tried on.
     pub fn fit(predictions: &[Prediction], systems: &[String], learned: &[&str], split: &str) -> Option<Self> {
@@ -51,30 +53,37 @@ impl Recalibration {
         self.factors.iter().all(|factor| (1.0 / LARGEST_FACTOR..=LARGEST_FACTOR).contains(factor))
     }
 
-    /// The recalibrated estimate: factors are those of C where there is a posterior, and `R = C + μ μᵀ` follows.
-    pub fn recalibrate(&self, estimate: Estimate) -> Estimate {
-        match estimate.posterior {
-            None => Estimate { covariance: self.apply(&estimate.covariance), ..estimate },
-            Some(posterior) => {
-                let posterior = Posterior { covariance: self.apply(&posterior.covariance), ..posterior };
-                Estimate { covariance: posterior.second_moment(), posterior: Some(posterior), ..estimate }
-            }
-        }
-    }
-
-    /// The recalibrated covariance.
+    /// The recalibrated covariance of an error of which nothing more was predicted.
     pub fn apply(&self, covariance: &Covariance6) -> Covariance6 {
         covariance.scaled(&self.factors)
+    }
+
+    /// Recalibrates a covariance R together with the posterior, if there is one, whose second moment it is.
+    pub fn apply_to(&self, covariance: &mut Covariance6, posterior: &mut Option<Posterior>) {
+        scale(&self.factors, covariance, posterior);
+    }
+}
+
+/// Scales the variances that a model puts out: those of C where there is a posterior, which R then follows.
+pub(super) fn scale(factors: &[f64; 6], covariance: &mut Covariance6, posterior: &mut Option<Posterior>) {
+    match posterior {
+        None => *covariance = covariance.scaled(factors),
+        Some(posterior) => {
+            posterior.covariance = posterior.covariance.scaled(factors);
+            *covariance = posterior.second_moment();
+        }
     }
 }
 
 /// Minimises `−2 Σ ln t + tᵀAt` over `t = s^(−½)`, A the mean of `D(e) R⁻¹ D(e)`: the likelihood of the errors
-/// under `D(√s) R D(√s)`. It is convex; each component in turn has a solution in closed form.
+/// under `D(√s) R D(√s)`, or of what is left of them under `D(√s) C D(√s)`. It is convex; each component in turn has a solution in closed form.
 fn most_likely_factors(rows: &[&Prediction]) -> Option<[f64; 6]> {
     let mut quadratic = Matrix6::zeros();
     for row in rows {
-        let error = Matrix6::from_diagonal(&Vector6::from(row.error));
-        quadratic += error * row.covariance.matrix().cholesky()?.inverse() * error / rows.len() as f64;
+        let posterior = row.posterior.as_ref();
+        let error = Matrix6::from_diagonal(&Vector6::from(corrected_error(&row.error, posterior)));
+        let covariance = corrected_covariance(&row.covariance, posterior);
+        quadratic += error * covariance.matrix().cholesky()?.inverse() * error / rows.len() as f64;
     }
     if (0..6).any(|c| quadratic[(c, c)].is_nan() || quadratic[(c, c)] <= 0.0) {
         return None;
@@ -153,5 +162,55 @@ mod tests {
         // Nothing can be learned from a system without errors.
         assert_eq!(Recalibration::fit(&rows[2..], &systems, &["vo", "gnss"], "validation"), None);
         assert_eq!(Recalibration::fit(&rows, &systems, &["gnss"], "validation"), None);
+    }
+
+    /// Measurements of which a model sees most of the error, overconfident in what is left; one without a verdict.
+    fn seen_errors() -> Vec<Prediction> {
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(5);
+        let mut draw = |sigma: f64| Tangent::from_fn(|_, _| sigma * random.random_range(-1.0..1.0));
+        let mut rows: Vec<Prediction> = (0..500)
+            .map(|frame| {
+                let (mean, left) = (draw(0.1), draw(0.01));
+                let posterior = Posterior { mean, covariance: Covariance6::from_std_devs(&Tangent::repeat(0.003)) };
+                let error = (crate::geometry::Pose::exp(&mean) * crate::geometry::Pose::exp(&left)).log();
+                Prediction {
+                    error: error.into(),
+                    covariance: posterior.second_moment(),
+                    posterior: Some(posterior),
+                    ..prediction(0, frame, 0.0, 1.0)
+                }
+            })
+            .collect();
+        rows.push(prediction(0, 500, 0.02, 1e-3));
+        rows
+    }
+
+    #[test]
+    fn factors_belong_to_what_a_correction_leaves() {
+        let mut rows = seen_errors();
+        let fitted = Recalibration::fit(&rows, &["vo".to_owned()], &["vo"], "validation").unwrap();
+        let before = rows.clone();
+        for row in &mut rows {
+            fitted.apply_to(&mut row.covariance, &mut row.posterior);
+        }
+        let judged = |rows: &[Prediction]| {
+            let errors: Vec<_> = rows.iter().map(|row| corrected_error(&row.error, row.posterior.as_ref())).collect();
+            let covariances: Vec<_> =
+                rows.iter().map(|row| corrected_covariance(&row.covariance, row.posterior.as_ref())).collect();
+            evaluate(&covariances, &errors, None).unwrap()
+        };
+        assert!(judged(&before).anees.unwrap() > 3.0);
+        for zms in judged(&rows).zms.unwrap() {
+            assert!((zms - 1.0).abs() < 1e-9, "{zms}");
+        }
+        for row in &rows[..500] {
+            assert_eq!(row.covariance, row.posterior.unwrap().second_moment());
+        }
+        // And back.
+        for (row, before) in rows.iter_mut().zip(&before) {
+            scale(&fitted.factors.map(f64::recip), &mut row.covariance, &mut row.posterior);
+            approx::assert_relative_eq!(row.covariance.matrix(), before.covariance.matrix(), epsilon = 1e-12);
+            assert_eq!(row.posterior.map(|posterior| posterior.mean), before.posterior.map(|posterior| posterior.mean));
+        }
     }
 }

@@ -9,9 +9,10 @@ use super::against_true::AgainstTrue;
 use super::baselines::Baselines;
 use super::bootstrap::{BootstrapSettings, Resamples, optimal_block_length};
 use super::by_name::ByName;
+use super::correction::RmsRatio;
 use super::methods::Method;
 use super::metrics::{JointScores, Metrics, evaluate_over};
-use super::pair_table::{PairTable, SystemPairs};
+use super::pair_table::{PairRow, PairTable, SystemPairs};
 use super::perturbation::PerturbationResponse;
 use super::prediction::share_at_floor;
 use super::recalibration::Recalibration;
@@ -63,6 +64,9 @@ pub struct Origin {
     /// Frames left out because they could not be read.
     #[serde(default)]
     pub unreadable_frames: Vec<String>,
+    /// Systems that the model learned from; `None` for predictions that came without one.
+    #[serde(default)]
+    pub learned_systems: Option<Vec<String>>,
     /// How predictions were recalibrated, if they were.
     #[serde(default)]
     pub recalibration: Option<Recalibration>,
@@ -83,6 +87,7 @@ impl Origin {
             split: split.to_owned(),
             device: "none".to_owned(),
             unreadable_frames: Vec::new(),
+            learned_systems: None,
             recalibration: None,
             log_variance_floor: None,
             configuration: None,
@@ -154,12 +159,16 @@ fn evaluate_system(system: &SystemPairs, baselines: Option<&Baselines>, origin: 
     let reference = constant.as_ref().map(|constant| constant.nll.as_slice());
     let evaluate_method = |&method: &Method| -> Option<(String, Metrics)> {
         let covariances = covariances(method)?;
-        let mut metrics = evaluate_over(&covariances, &errors, resamples.as_ref(), reference)?;
-        if !matches!(method, Method::Oracle | Method::OracleDiagonal) {
-            metrics.against_true = truth.as_ref().and_then(|truth| AgainstTrue::compare(&covariances, truth));
+        let remaining = method.errors(system);
+        let mut metrics = evaluate_over(&covariances, &remaining, resamples.as_ref(), reference)?;
+        match method {
+            // What it covers are not the errors that the true covariance is of.
+            Method::Corrected => metrics.rms_ratio = Some(RmsRatio::compare(&remaining, &errors)),
+            Method::Oracle | Method::OracleDiagonal => {}
+            _ => metrics.against_true = truth.as_ref().and_then(|truth| AgainstTrue::compare(&covariances, truth)),
         }
         if method == Method::Predicted {
-            metrics.at_floor = origin.log_variance_floor.map(|floor| share_at(&covariances, recalibration, &floor));
+            metrics.at_floor = origin.log_variance_floor.and_then(|floor| share_at(system, recalibration, &floor));
         }
         Some((method.name(origin.predicted.as_deref().unwrap_or("predicted")), metrics))
     };
@@ -173,11 +182,13 @@ fn evaluate_system(system: &SystemPairs, baselines: Option<&Baselines>, origin: 
     })
 }
 
-/// Share of outputs on the floor, which lies under what the network puts out before recalibration.
-fn share_at(covariances: &[Covariance6], recalibration: Option<&[f64; 6]>, floor: &[f64; 6]) -> f64 {
+/// Share of outputs on the floor, which lies under what the network puts out before recalibration: C where it predicts
+/// the error too.
+fn share_at(system: &SystemPairs, recalibration: Option<&[f64; 6]>, floor: &[f64; 6]) -> Option<f64> {
     let factors = recalibration.copied().unwrap_or([1.0; 6]);
     let floor: [f64; 6] = std::array::from_fn(|c| floor[c] + factors[c].ln());
-    share_at_floor(covariances, &floor)
+    let outputs: Vec<Covariance6> = system.rows.iter().map(PairRow::corrected_covariance).collect::<Option<_>>()?;
+    Some(share_at_floor(&outputs, &floor))
 }
 
 /// As long as squared errors stay correlated, in whichever component they do so longest.
@@ -223,6 +234,7 @@ mod tests {
     use super::*;
     use crate::evaluation::PairRow;
     use crate::evaluation::pair_table::made_row as row;
+    use crate::geometry::{Posterior, Tangent};
 
     fn origin() -> Origin {
         Origin::new("run".to_owned(), Some("relcov".to_owned()), "test")
@@ -265,6 +277,26 @@ mod tests {
         let anees = |name: &str| evaluation.methods.get(name).unwrap().anees.unwrap();
         assert!((anees("relcov_uncalibrated") - 4.0 * anees("relcov")).abs() < 1e-12);
         assert_eq!(evaluation.methods.get("relcov").unwrap().at_floor, Some(1.0));
+    }
+
+    #[test]
+    fn corrected_measurements_are_judged_on_what_is_left_of_their_errors() {
+        let mean = Tangent::repeat(0.08);
+        let posterior = Posterior { mean, covariance: Covariance6::from_std_devs(&Tangent::repeat(0.02)) };
+        let seen =
+            PairRow { covariance: Some(posterior.second_moment()), posterior: Some(posterior), ..row(0, 0.1, 1.0) };
+        // A measurement without a verdict stays as it is.
+        let rows = [seen, row(1, -0.3, 0.04)];
+        let evaluation = evaluated(false, &rows, origin()).unwrap();
+        assert_eq!(names(&evaluation), ["relcov", "relcov_corrected", "zero", "stated"]);
+        let corrected = evaluation.methods.get("relcov_corrected").unwrap();
+        // z² of .02 under a σ of .02, and of .3 under one of .2; all along one axis, where errors add up.
+        assert!((corrected.anees.unwrap() - 0.5 * (1.0 + 2.25)).abs() < 1e-9, "{:?}", corrected.anees);
+        let ratio = corrected.rms_ratio.unwrap();
+        assert!((ratio.rotation.unwrap() - (0.0904_f64 / 0.1).sqrt()).abs() < 1e-9, "{ratio:?}");
+        assert_eq!(evaluation.methods.get("relcov").unwrap().rms_ratio, None);
+        assert_eq!(corrected.conditional.as_ref().unwrap().joint.sigma.len(), 2);
+        assert_eq!(evaluation.methods.get("zero").unwrap().conditional, None);
     }
 
     #[test]

@@ -248,8 +248,11 @@ impl Model {
             .collect())
     }
 
-    fn recalibrated(&self, estimate: Estimate) -> Estimate {
-        self.recalibration.as_ref().map_or(estimate, |recalibration| recalibration.recalibrate(estimate))
+    fn recalibrated(&self, mut estimate: Estimate) -> Estimate {
+        if let Some(recalibration) = &self.recalibration {
+            recalibration.apply_to(&mut estimate.covariance, &mut estimate.posterior);
+        }
+        estimate
     }
 
     /// Axes of the errors from those of a measurement's camera.

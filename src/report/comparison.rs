@@ -84,6 +84,12 @@ impl Entry {
         self.table.systems.iter().find(|pairs| pairs.name == system).expect("scores come from measurements")
     }
 
+    /// Whether its model learned from a system; `None` for predictions that came without one.
+    pub fn learned_from(&self, system: &str) -> Option<bool> {
+        let learned = self.evaluation.origin.learned_systems.as_ref()?;
+        Some(learned.iter().any(|name| name == system))
+    }
+
     fn covariances(&self, method: Method, pairs: &SystemPairs) -> Option<Vec<Covariance6>> {
         let baselines = self.evaluation.systems.get(&pairs.name).and_then(|system| system.baselines.as_ref());
         let factors = self.evaluation.origin.recalibration.as_ref().map(|recalibration| &recalibration.factors);
@@ -175,7 +181,7 @@ impl Comparison {
         for method in Method::ALL {
             for entry in &self.entries {
                 let Some(evaluated) = entry.evaluation.systems.get(system) else { continue };
-                let own = matches!(method, Method::Predicted | Method::Uncalibrated);
+                let own = method.is_predicted();
                 let predicted = match &entry.evaluation.origin.predicted {
                     Some(name) => name,
                     None if own => continue,
@@ -204,6 +210,11 @@ impl<'a> Judged<'a> {
     /// Its covariances, row by row.
     pub fn covariances(&self, system: &str) -> Vec<Covariance6> {
         self.entry.covariances(self.method, self.pairs(system)).expect("it has scores")
+    }
+
+    /// The errors that they should cover, row by row, m and rad.
+    pub fn errors(&self, system: &str) -> Vec<[f64; 6]> {
+        self.method.errors(self.pairs(system))
     }
 }
 

@@ -9,7 +9,7 @@ use crate::geometry::Conventions;
 /// A score of a method as a whole.
 type JointScore = (&'static str, fn(&Metrics) -> Option<f64>);
 
-const JOINT: [JointScore; 11] = [
+const JOINT: [JointScore; 15] = [
     ("nll [nats]", |metrics| metrics.nll),
     ("nll_low", |metrics| Some(metrics.nll_interval?[0])),
     ("nll_high", |metrics| Some(metrics.nll_interval?[1])),
@@ -20,6 +20,10 @@ const JOINT: [JointScore; 11] = [
     ("anees_low", |metrics| Some(metrics.anees_interval?[0])),
     ("anees_high", |metrics| Some(metrics.anees_interval?[1])),
     ("nees_below_95", |metrics| metrics.nees_below_95),
+    ("anees_least_bin", |metrics| Some(metrics.conditional.as_ref()?.joint.extremes()[0])),
+    ("anees_largest_bin", |metrics| Some(metrics.conditional.as_ref()?.joint.extremes()[1])),
+    ("rms_ratio_translation", |metrics| metrics.rms_ratio?.translation),
+    ("rms_ratio_rotation", |metrics| metrics.rms_ratio?.rotation),
     ("at_floor", |metrics| metrics.at_floor),
 ];
 
@@ -32,7 +36,7 @@ enum Unit {
     None,
 }
 
-const BY_COMPONENT: [ComponentScore; 17] = [
+const BY_COMPONENT: [ComponentScore; 18] = [
     ("mde", Unit::OfComponent, |metrics| Some(metrics.mde.map(Some))),
     ("mde_low", Unit::OfComponent, |metrics| Some(metrics.mde_interval?[0].map(Some))),
     ("mde_high", Unit::OfComponent, |metrics| Some(metrics.mde_interval?[1].map(Some))),
@@ -49,6 +53,7 @@ const BY_COMPONENT: [ComponentScore; 17] = [
     ("ause", Unit::None, |metrics| Some(metrics.ause)),
     ("aurg", Unit::None, |metrics| Some(metrics.aurg)),
     ("spearman", Unit::None, |metrics| Some(metrics.spearman)),
+    ("rms_ratio", Unit::None, |metrics| Some(metrics.rms_ratio?.components)),
     ("true_sigma_ratio", Unit::None, |metrics| Some(metrics.against_true.as_ref()?.median_sigma_ratio.map(Some))),
 ];
 

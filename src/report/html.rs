@@ -4,7 +4,8 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::comparison::Comparison;
 use super::figures::{Figure, draw_figures};
-use super::scores::{Intervals, notes, preface, tables};
+use super::notes::{notes, preface};
+use super::scores::{Detail, Intervals, tables};
 use super::table::{Cell, Table};
 use crate::error::Result;
 use crate::geometry::Conventions;
@@ -20,7 +21,7 @@ pub fn html_page(comparison: &Comparison) -> Result<String> {
     let title = format!("relcov: {}", names.join(", "));
     let figures = draw_figures(comparison)?;
     let configurations = configurations(comparison);
-    let tables = tables(comparison, Intervals::Shown);
+    let tables = tables(comparison, Intervals::Shown, Detail::Full);
     let page = html! {
         (DOCTYPE)
         html lang="en" {

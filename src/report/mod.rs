@@ -1,12 +1,15 @@
 //! Results for people: tables, figures, one page. Takes evaluations, never tensors.
 
 mod comparison;
+mod conditional;
 mod contact_sheet;
 pub mod figures;
 mod full_table;
 mod fusion;
 mod html;
+mod notes;
 mod scores;
+mod summary;
 mod table;
 mod table_two;
 
@@ -14,5 +17,5 @@ pub use comparison::{Comparison, Entry, Judged};
 pub use contact_sheet::{CONTACT_SHEET_COLUMNS, contact_sheet};
 pub use fusion::{FusionRow, fusion_table};
 pub use html::html_page;
-pub use scores::{Intervals, render_results};
+pub use scores::{Detail, Intervals, render_results};
 pub use table::TableFormat;

@@ -1,8 +1,11 @@
-//! What an evaluation found, as tables: the MDE table (paper Table II) with proper scores beside it,
-//! calibration, and how systems are told apart.
+//! What an evaluation found, as tables: the three answers first, the MDE table (paper Table II), and for who looks closer
+//! proper scores, calibration, and how systems are told apart.
 
 use super::comparison::{Comparison, Judged};
+use super::conditional::conditional_table;
 use super::full_table::full_table;
+use super::notes::{notes, preface, separation_notes};
+use super::summary::summary_table;
 use super::table::{Better, Cell, Table, TableFormat, three_digits};
 use super::table_two::table_two;
 use crate::evaluation::{Method, Metrics};
@@ -17,90 +20,53 @@ pub enum Intervals {
     Hidden,
 }
 
-/// Everything in one form: text and Markdown for people, one wide table as CSV, the paper's
+/// How much people are shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Detail {
+    /// What is asked first, and the MDE table.
+    Short,
+    /// Every table.
+    Full,
+}
+
+/// Everything in one form: text and Markdown for people, in short or in full; one wide table as CSV; the paper's
 /// Table II as LaTeX.
-pub fn render_results(comparison: &Comparison, format: TableFormat, intervals: Intervals) -> String {
+pub fn render_results(comparison: &Comparison, format: TableFormat, intervals: Intervals, detail: Detail) -> String {
     match format {
         TableFormat::Csv => full_table(comparison).render(format),
         TableFormat::Latex => table_two(comparison, intervals).render(format),
         TableFormat::Text | TableFormat::Markdown => {
             let mut parts = vec![preface(comparison)];
             parts.extend(comparison.warnings.iter().map(|warning| format!("WARNING: {warning}\n")));
-            for table in tables(comparison, intervals) {
+            for table in tables(comparison, intervals, detail) {
                 let title = if format == TableFormat::Text { format!("\n{}\n", table.title) } else { "\n".to_owned() };
                 parts.push(title + &table.render(format));
             }
             let mark = if format == TableFormat::Text { "*" } else { "bold" };
-            parts.push(format!("\n{}\n", notes(comparison, mark).join("\n")));
+            let mut lines = notes(comparison, mark);
+            if detail == Detail::Short {
+                lines.splice(0..0, separation_notes(comparison));
+                lines.push("more tables (CRPS, calibration, separation of systems): --full.".to_owned());
+            }
+            parts.push(format!("\n{}\n", lines.join("\n")));
             parts.concat()
         }
     }
 }
 
 /// The tables for people.
-pub(super) fn tables(comparison: &Comparison, intervals: Intervals) -> Vec<Table> {
-    let tables = [
-        Some(score_table(comparison, intervals)),
-        Some(crps_table(comparison, intervals)),
-        calibration_table(comparison),
-        true_sigma_table(comparison),
-        separation_table(comparison),
-    ];
+pub(super) fn tables(comparison: &Comparison, intervals: Intervals, detail: Detail) -> Vec<Table> {
+    let mut tables = vec![summary_table(comparison, intervals), Some(score_table(comparison, intervals))];
+    if detail == Detail::Full {
+        tables.extend([
+            Some(crps_table(comparison, intervals)),
+            calibration_table(comparison),
+            conditional_table(comparison),
+            true_sigma_table(comparison),
+            separation_table(comparison),
+        ]);
+    }
     tables.into_iter().flatten().collect()
-}
-
-/// Frame, order, side and what was evaluated: stands above every table.
-pub fn preface(comparison: &Comparison) -> String {
-    let first = &comparison.entries[0].evaluation;
-    let pairs: Vec<String> = first.systems.iter().map(|(name, system)| format!("{} {name}", system.pairs)).collect();
-    format!(
-        "split {}, pairs: {}\nerror frame: {} ({}); e = {}\n",
-        first.origin.split,
-        pairs.join(", "),
-        first.error_frame.name(),
-        first.error_frame.axes(),
-        first.error
-    )
-}
-
-/// How to read the tables.
-///
-/// `mark` is what the best values bear.
-pub fn notes(comparison: &Comparison, mark: &str) -> Vec<String> {
-    let mut notes = vec![
-        "MDE = median sqrt|R - e^2| alone is an improper score (a prediction of zero can win it): read it with NLL (lower is better), CRPS (lower is better) and ANEES (1 is calibrated).".to_owned(),
-    ];
-    if comparison.is_fair() {
-        notes.push(format!("{mark}: best of those that compete, which a variance of zero and an oracle do not; nor is there anything to win against a system that is the truth."));
-    }
-    let has = |method: Method| {
-        let systems = comparison.systems();
-        systems.iter().any(|system| comparison.methods(system).iter().any(|(_, judged)| judged.method == method))
-    };
-    if has(Method::Oracle) {
-        notes.push("oracle: the system's true covariance; it knows the scene and not the realised error, which the warp shows, so a model may beat it.".to_owned());
-    }
-    for entry in &comparison.entries {
-        if let Some(recalibration) = &entry.evaluation.origin.recalibration {
-            let factors = recalibration.factors.map(three_digits).join(" ");
-            notes.push(format!(
-                "{}: variances times {factors} (x … yaw), fitted to {} pairs of split {}; uncalibrated: without.",
-                entry.name, recalibration.pairs, recalibration.split
-            ));
-        }
-    }
-    if let Some((system, settings)) =
-        comparison.entries[0].evaluation.systems.iter().find_map(|(name, system)| Some((name, system.bootstrap?)))
-    {
-        notes.push(format!(
-            "intervals: {:.0} %, circular block bootstrap, blocks of {} pairs ({system}), {} resamples, seed {}.",
-            100.0 * settings.level,
-            settings.block_length,
-            settings.replicates,
-            settings.seed
-        ));
-    }
-    notes
 }
 
 /// MDE of every component, NLL and ANEES: methods below one another.
@@ -112,7 +78,7 @@ fn score_table(comparison: &Comparison, intervals: Intervals) -> Table {
         cells
     };
     let better = [[Better::Lower; 7].as_slice(), &[Better::Near(1.0)]].concat();
-    method_table("MDE = median sqrt|R - e^2|", header.collect(), comparison, row, &better)
+    method_table("MDE = median sqrt|R - e^2|", header.collect(), comparison, |_| true, row, &better)
 }
 
 /// CRPS of every component, and two joint scores.
@@ -139,23 +105,25 @@ fn crps_table(comparison: &Comparison, intervals: Intervals) -> Table {
         "CRPS (proper; lower is better); share of pairs within the 95 % ellipsoid",
         header.collect(),
         comparison,
+        |_| true,
         row,
         &better,
     )
 }
 
-/// A table of methods below one another, system after system.
-fn method_table(
+/// A table of those methods below one another that a condition keeps, system after system.
+pub(super) fn method_table(
     title: &str,
     header: Vec<String>,
     comparison: &Comparison,
+    keep: impl Fn(Method) -> bool,
     row: impl Fn(&Metrics) -> Vec<Cell>,
     better: &[Better],
 ) -> Table {
     let mut rows = Vec::new();
     let mut outside = Vec::new();
     for system in comparison.systems() {
-        for (name, judged) in comparison.methods(system) {
+        for (name, judged) in comparison.methods(system).into_iter().filter(|(_, judged)| keep(judged.method)) {
             let cells = row(judged.metrics);
             if cells.iter().all(|cell| cell.text.is_empty()) {
                 continue;
@@ -178,14 +146,15 @@ fn method_table(
 }
 
 pub(super) fn competes(judged: &Judged) -> bool {
-    // Against a truth the smallest σ would win.
-    judged.metrics.nll.is_some() && !matches!(judged.method, Method::Oracle | Method::OracleDiagonal)
+    // Against a truth the smallest σ would win; a corrected measurement is another one, with other errors.
+    judged.metrics.nll.is_some()
+        && !matches!(judged.method, Method::Oracle | Method::OracleDiagonal | Method::Corrected)
 }
 
 /// Calibration and sharpness of the predictions, component by component.
 fn calibration_table(comparison: &Comparison) -> Option<Table> {
     type Score = (&'static str, fn(&Metrics) -> Option<[Option<f64>; 6]>);
-    let scores: [Score; 9] = [
+    let scores: [Score; 10] = [
         ("mean σ [m, rad]", |metrics| Some(metrics.sharpness.map(Some))),
         ("mean z² (1)", |metrics| Some(metrics.zms?.map(Some))),
         ("within 1σ (.683)", |metrics| Some(metrics.coverage?[0].map(Some))),
@@ -195,14 +164,12 @@ fn calibration_table(comparison: &Comparison) -> Option<Table> {
         ("AUSE (0)", |metrics| Some(metrics.ause)),
         ("AURG (high)", |metrics| Some(metrics.aurg)),
         ("rank corr. of σ, |e|", |metrics| Some(metrics.spearman)),
+        ("left of RMS e (low)", |metrics| Some(metrics.rms_ratio?.components)),
     ];
     let mut rows = Vec::new();
     for system in comparison.systems() {
-        let predictions: Vec<_> = comparison
-            .methods(system)
-            .into_iter()
-            .filter(|(_, judged)| matches!(judged.method, Method::Predicted | Method::Uncalibrated))
-            .collect();
+        let predictions: Vec<_> =
+            comparison.methods(system).into_iter().filter(|(_, judged)| judged.method.is_predicted()).collect();
         for (label, values) in scores {
             for (name, judged) in &predictions {
                 let Some(values) = values(judged.metrics) else { continue };
@@ -348,20 +315,24 @@ mod tests {
 
     #[test]
     fn results_state_split_frame_units_and_baselines() {
-        insta::assert_snapshot!("text", render_results(&comparison(), TableFormat::Text, Intervals::Hidden));
-        insta::assert_snapshot!("latex", render_results(&comparison(), TableFormat::Latex, Intervals::Shown));
+        let render = |format, intervals, detail| render_results(&comparison(), format, intervals, detail);
+        insta::assert_snapshot!("text", render(TableFormat::Text, Intervals::Hidden, Detail::Short));
+        insta::assert_snapshot!("full", render(TableFormat::Text, Intervals::Hidden, Detail::Full));
+        insta::assert_snapshot!("latex", render(TableFormat::Latex, Intervals::Shown, Detail::Short));
     }
 
     #[test]
     fn the_table_for_programs_has_a_number_for_every_column() {
-        let csv = render_results(&comparison(), TableFormat::Csv, Intervals::Hidden);
+        let csv = render_results(&comparison(), TableFormat::Csv, Intervals::Hidden, Detail::Short);
         let mut reader = csv::Reader::from_reader(csv.as_bytes());
         let header = reader.headers().unwrap().clone();
         let rows: Vec<csv::StringRecord> = reader.records().collect::<Result<_, _>>().unwrap();
         let first = &rows[0];
+        // Without a floor and without corrections.
+        let absent = |name: &str| name == "at_floor" || name.starts_with("rms_ratio");
         assert_eq!((&first[0], &first[1]), ("vo", "relcov"));
         for (name, value) in header.iter().zip(first).skip(5) {
-            assert!(value.parse::<f64>().is_ok_and(f64::is_finite) || name == "at_floor", "{name}: `{value}`");
+            assert!(value.parse::<f64>().is_ok_and(f64::is_finite) || absent(name), "{name}: `{value}`");
         }
     }
 }

@@ -1,7 +1,8 @@
 //! The form of the paper's Table II: systems and scores below one another, methods side by side.
 
 use super::comparison::{Comparison, Judged};
-use super::scores::{Intervals, anees_cell, competes, mde_cell, named_columns, nll_cell, preface, unit_columns};
+use super::notes::preface;
+use super::scores::{Intervals, anees_cell, competes, mde_cell, named_columns, nll_cell, unit_columns};
 use super::table::{Better, Cell, Table, mark};
 use crate::evaluation::Metrics;
 

@@ -4,6 +4,9 @@ use std::path::{Path, PathBuf};
 
 use assert_cmd::Command;
 use predicates::str::contains;
+use relcov::alignment::NoVerdict;
+use relcov::evaluation::{read_pairs, write_pairs};
+use relcov::geometry::{ErrorFrame, Posterior, Tangent};
 use serde_json::Value;
 
 use crate::support::{shared, write_pairs_csv};
@@ -92,9 +95,16 @@ fn tables_and_figures_are_written_in_every_form() {
     }
     let figures = folder.path().join("figures");
     relcov().arg("report").arg(&result).arg("--save-plot").arg(&figures).assert().success();
-    for name in
-        ["sequence", "dispersion_vo", "reliability_vo", "coverage_vo", "sparsification_vo", "nees_vo", "speed_vo"]
-    {
+    for name in [
+        "sequence",
+        "dispersion_vo",
+        "reliability_vo",
+        "conditional_vo",
+        "coverage_vo",
+        "sparsification_vo",
+        "nees_vo",
+        "speed_vo",
+    ] {
         let svg = std::fs::read_to_string(figures.join(format!("{name}.svg"))).unwrap();
         assert!(
             svg.contains("<text")
@@ -122,9 +132,71 @@ fn intervals_come_on_request() {
         let output = relcov().arg("report").arg(&result).args(arguments).output().unwrap();
         String::from_utf8(output.stdout).unwrap()
     };
-    let row = |text: String| text.lines().find(|line| line.contains("mine_pairs")).unwrap().to_owned();
-    assert!(!row(stdout(&[])).contains('['));
-    assert_eq!(row(stdout(&["--intervals"])).matches('[').count(), 8, "six MDE, NLL and ANEES");
+    let intervals = |text: String| -> Vec<usize> {
+        text.lines().filter(|line| line.starts_with("| vo ")).map(|line| line.matches('[').count()).collect()
+    };
+    // Predictions in the first table, predictions and a variance of zero in that of MDE.
+    assert_eq!(intervals(stdout(&[])), [0, 0, 0]);
+    assert_eq!(intervals(stdout(&["--intervals"])), [2, 8, 6], "NLL and ANEES; six MDE with them, and without");
+}
+
+#[test]
+fn all_tables_come_on_request() {
+    let folder = tempfile::tempdir().unwrap();
+    let result = judge(folder.path(), "mine", 1, "vehicle");
+    let report = |arguments: &[&str]| relcov().arg("report").arg(&result).args(arguments).assert().success();
+    report(&[]).stdout(contains("sees this error?").and(contains("CRPS (proper").not()).and(contains("--full.")));
+    report(&["--full"]).stdout(
+        contains("sees this error?")
+            .and(contains("CRPS (proper"))
+            .and(contains("conditional calibration"))
+            .and(contains("--full").not()),
+    );
+}
+
+#[test]
+fn corrected_measurements_are_judged_beside_the_measurements() {
+    let folder = tempfile::tempdir().unwrap();
+    let pairs = folder.path().join("seen.csv");
+    write_pairs_csv(&pairs, 300, 1);
+    // A model that sees nine tenths of each error, but for two images.
+    let mut table = read_pairs(&pairs, ErrorFrame::Vehicle).unwrap();
+    for row in &mut table.systems[0].rows {
+        let covariance = row.covariance.unwrap().scaled(&[0.01; 6]);
+        let posterior = Posterior { mean: 0.9 * Tangent::from(row.error), covariance };
+        (row.covariance, row.posterior) = (Some(posterior.second_moment()), Some(posterior));
+    }
+    for row in &mut table.systems[0].rows[4..6] {
+        (row.posterior, row.no_verdict) = (None, Some(NoVerdict::NoTexture));
+    }
+    write_pairs(&pairs, &table).unwrap();
+    let result = folder.path().join("seen.json");
+    relcov()
+        .args(["eval", "--error-frame", "vehicle", "--pairs"])
+        .arg(&pairs)
+        .arg("--save-results")
+        .arg(&result)
+        .assert()
+        .success()
+        .stdout(
+            contains("| vo     | seen_corrected |")
+                .and(contains("| left of RMS xyz |"))
+                .and(contains("no verdict from the images: 2 of 300 vo pairs (no_texture 2)")),
+        );
+    let methods = &read(&result)["systems"]["vo"]["methods"];
+    let left = &methods["seen_corrected"]["rms_ratio"];
+    for part in [&left["translation"], &left["rotation"], &left["components"][4]] {
+        assert!((0.09..0.25).contains(&part.as_f64().unwrap()), "{left}");
+    }
+    assert!(methods["seen"]["rms_ratio"].is_null());
+    // To be right about what is left says more than to be right about all of it.
+    let nll = |method: &str| methods[method]["nll"].as_f64().unwrap();
+    assert!(nll("seen_corrected") < nll("seen"), "{} {}", nll("seen_corrected"), nll("seen"));
+    // The measurements beside the result give the same covariances again.
+    let figures = folder.path().join("figures");
+    relcov().arg("report").arg(&result).arg("--save-plot").arg(&figures).assert().success();
+    let svg = std::fs::read_to_string(figures.join("conditional_vo.svg")).unwrap();
+    assert!(svg.contains("seen_corrected") && svg.contains("geometric mean σ of all"), "{svg}");
 }
 
 #[test]

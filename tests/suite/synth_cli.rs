@@ -102,7 +102,8 @@ fn training_renders_its_data_and_judges_by_the_true_covariances() {
     let config = write_config(folder.path());
     let elsewhere = folder.path().join("recorded");
     // The variable points at recorded data, among which nothing is rendered.
-    let output = relcov(&["train", "--config", text(&config)]).env("RELCOV_DATA_ROOT", &elsewhere).output().unwrap();
+    let output =
+        relcov(&["train", "--full", "--config", text(&config)]).env("RELCOV_DATA_ROOT", &elsewhere).output().unwrap();
     let (stdout, stderr) = (String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap());
     assert!(output.status.success(), "{stderr}");
     assert!(stderr.contains("made a synthetic data set") && !elsewhere.exists(), "{stderr}");

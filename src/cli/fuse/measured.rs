@@ -122,7 +122,8 @@ pub(super) fn chosen_systems<'a>(arguments: &FuseArguments, table: &'a PairTable
 /// The kinds of covariances that every system has. One of a component that never erred is none.
 pub(super) fn available(measured: &Measured, systems: &[&SystemPairs]) -> Vec<Method> {
     let usable = |method: &Method| {
-        *method != Method::Zero
+        // A corrected measurement is not the one that is fused here.
+        !matches!(method, Method::Zero | Method::Corrected)
             && systems.iter().all(|system| {
                 covariances(measured, system, *method)
                     .is_some_and(|covariances| covariances.iter().all(Covariance6::is_positive))

@@ -2,6 +2,7 @@
 //! σ follows. All from the measurements of a [`Comparison`], none from tensors.
 
 mod canvas;
+mod conditional;
 mod coverage;
 mod dispersion;
 mod nees;
@@ -45,6 +46,8 @@ struct Series<'a> {
     method: Method,
     pairs: &'a SystemPairs,
     covariances: Vec<Covariance6>,
+    /// What they should cover, m and rad.
+    errors: Vec<[f64; 6]>,
 }
 
 impl Series<'_> {
@@ -53,7 +56,7 @@ impl Series<'_> {
     }
 
     fn errors(&self, component: usize) -> Vec<f64> {
-        self.pairs.rows.iter().map(|row| row.error[component]).collect()
+        self.errors.iter().map(|error| error[component]).collect()
     }
 }
 
@@ -66,6 +69,7 @@ fn series<'a>(comparison: &'a Comparison, system: &str, keep: impl Fn(&Judged) -
             method: judged.method,
             pairs: judged.pairs(system),
             covariances: judged.covariances(system),
+            errors: judged.errors(system),
         })
         .collect()
 }
@@ -78,7 +82,7 @@ fn is_drawn(judged: &Judged) -> bool {
 /// Name, caption and drawing of a figure that each system has.
 type SystemFigure = (&'static str, &'static str, fn(&Comparison, &str) -> Drawing<Option<String>>);
 
-const BY_SYSTEM: [SystemFigure; 6] = [
+const BY_SYSTEM: [SystemFigure; 7] = [
     (
         "dispersion",
         "dispersion errors √|R − e²| (paper Fig. 4): boxes from the lower to the upper quartile, line at the median (MDE), whiskers from 5 to 95 %. An improper score: a prediction of zero can win it.",
@@ -88,6 +92,11 @@ const BY_SYSTEM: [SystemFigure; 6] = [
         "reliability",
         "errors (RMSE) where σ is small and where it is large, ten bins of equal count. Calibrated predictions lie on the diagonal; below it they are too large.",
         reliability::draw,
+    ),
+    (
+        "conditional",
+        "normalised errors where the covariance is small and where it is large, ten bins of equal count: mean z² by σ of each component, ANEES by the geometric mean σ of all. Calibrated predictions stay at 1; above it they are too small there.",
+        conditional::draw,
     ),
     ("coverage", "share of errors within 1, 2 and 3 σ. Calibrated predictions reach the lines.", coverage::draw),
     (

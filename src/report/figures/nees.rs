@@ -17,13 +17,14 @@ const WINDOW: usize = 51;
 const MOST_DOTS: usize = 3000;
 
 pub(super) fn draw(comparison: &Comparison, system: &str) -> Drawing<Option<String>> {
-    let predictions: Vec<(String, Vec<f64>)> = series(comparison, system, |judged| judged.method == Method::Predicted)
+    let shown = |method: Method| matches!(method, Method::Predicted | Method::Corrected);
+    let predictions: Vec<(String, Vec<f64>)> = series(comparison, system, |judged| shown(judged.method))
         .into_iter()
         .filter(|series| !series.pairs.is_truth())
         .map(|series| {
-            let rows = series.covariances.iter().zip(&series.pairs.rows);
+            let rows = series.covariances.iter().zip(&series.errors);
             let nees = rows
-                .map(|(covariance, row)| covariance.mahalanobis(&row.error.into()).map_or(f64::NAN, |(nees, _)| nees));
+                .map(|(covariance, &error)| covariance.mahalanobis(&error.into()).map_or(f64::NAN, |(nees, _)| nees));
             (series.label.clone(), nees.collect())
         })
         .collect();
