@@ -15,7 +15,7 @@ use crate::depth::{DepthCache, DepthEstimator, DepthJudge, DepthScores, FrameId,
 use crate::device::{device_name, open_device};
 use crate::evaluation::{SourceScores, compare_depth_sources};
 use crate::files::write_atomically;
-use crate::report::{CONTACT_SHEET_COLUMNS, contact_sheet};
+use crate::report::{CONTACT_SHEET_COLUMNS, SheetRow, contact_sheet};
 
 /// Arguments of `relcov depth`.
 #[derive(Args)]
@@ -180,8 +180,10 @@ fn compare(config: &Config, names: &[String], sheet: Option<&Path>) -> anyhow::R
         .collect::<anyhow::Result<Vec<_>>>()?;
     let comparison = compare_depth_sources(config, &sources, &open_device(&config.device)?)?;
     if let Some(path) = sheet {
-        write_atomically(path, &contact_sheet(&comparison.example))?;
-        let columns = CONTACT_SHEET_COLUMNS.join(" | ");
+        let rows: Vec<SheetRow> =
+            comparison.example.into_iter().map(|(sample, warped)| SheetRow { sample, warped, aligned: None }).collect();
+        write_atomically(path, &contact_sheet(&rows))?;
+        let columns = CONTACT_SHEET_COLUMNS[..5].join(" | ");
         print_result(&format!("{}: a row for each source; columns: {columns}\n", path.display()))?;
     }
     let mut table = numbers_table(["depth", "known", "valid", "difference", "where all are valid"].map(str::to_owned));

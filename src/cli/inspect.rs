@@ -8,12 +8,13 @@ use comfy_table::{CellAlignment, Table, presets};
 
 use super::print_result;
 use crate::config::{Config, DepthConfig};
-use crate::data::{Coverage, Dataset, Pair, PairId, PairReader, PairScope, SplitName};
+use crate::data::{Coverage, Dataset, Pair, PairId, PairReader, PairSample, PairScope, SplitName};
 use crate::depth::DepthCache;
 use crate::device::open_device;
 use crate::evaluation::warp_pair;
 use crate::files::write_atomically;
-use crate::report::{CONTACT_SHEET_COLUMNS, contact_sheet};
+use crate::geometry::Pose;
+use crate::report::{CONTACT_SHEET_COLUMNS, SheetRow, contact_sheet};
 use crate::synthetic::is_rendered;
 
 /// Arguments of `relcov inspect`.
@@ -24,8 +25,9 @@ use crate::synthetic::is_rendered;
   relcov inspect --config configs/synthetic.toml --contact-sheet sheet.png
 
 A contact sheet has a row for each measurement of a few pairs: source image, target image, source
-warped into the target by the measured pose, validity, and their difference. Where poses, depth and
-calibration are right, little of the difference is left.")]
+warped into the target by the measured pose, validity, their difference, and what direct alignment of
+the two images leaves of it. Where poses, depth and calibration are right, little of the difference is
+left; where only the pose is wrong, alignment takes it away.")]
 pub struct InspectArguments {
     /// The experiment
     #[arg(long, value_name = "FILE")]
@@ -78,13 +80,26 @@ fn draw_contact_sheet(path: &Path, pairs: usize, config: &Config, dataset: &Data
         let PairId { drive, source, target } = pair.id;
         let difference =
             warped.mean_difference.map_or("no valid pixel".to_owned(), |levels| format!("{levels:.1} grey levels"));
+        let evidence = sample.align(&Pose::identity());
+        let aligned = match evidence.no_verdict {
+            Some(_) => None,
+            None => {
+                let aligned_pose = Pose::exp(&-evidence.finest().error) * sample.source_from_target;
+                Some(warp_pair(&PairSample { source_from_target: aligned_pose, ..sample.clone() }, &device)?)
+            }
+        };
+        let after = match (evidence.no_verdict, aligned.as_ref().and_then(|aligned| aligned.mean_difference)) {
+            (Some(none), _) => format!("no verdict: {}", none.reason()),
+            (None, Some(levels)) => format!("{levels:.1} after alignment"),
+            (None, None) => "no valid pixel after alignment".to_owned(),
+        };
         legend += &format!(
-            "  row {}: {} frames {source} and {target}, {}: mean difference {difference}\n",
+            "  row {}: {} frames {source} and {target}, {}: mean difference {difference}, {after}\n",
             rows.len() + 1,
             dataset.drives[drive].name,
             dataset.systems[pair.system]
         );
-        rows.push((sample, warped));
+        rows.push(SheetRow { sample, warped, aligned });
     }
     anyhow::ensure!(!rows.is_empty(), "none of the chosen pairs can be read; the warnings above say why");
     write_atomically(path, &contact_sheet(&rows))?;

@@ -71,8 +71,9 @@ pub enum Schedule {
     #[default]
     Constant,
     /// Rises linearly during the first 5 % of `training.epochs`, then falls along half a cosine to zero
-    /// (Loshchilov and Hutter 2017): noise of the steps dies away towards the end. A run
-    /// resumed with other epochs takes the rate that belongs to them.
+    /// (Loshchilov and Hutter 2017): noise of the steps dies away towards the end. The epochs of evidence alone
+    /// (`evidence_epochs`) and those after them each have such a course. A run resumed with other epochs takes the rate
+    /// that belongs to them.
     Cosine,
 }
 

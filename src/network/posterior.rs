@@ -82,3 +82,131 @@ fn limited(values: Tensor<2>) -> Tensor<2> {
     let excess = (values.clone() - values.clone().clamp(-LIMIT, LIMIT)).detach();
     values - excess
 }
+
+#[cfg(test)]
+mod tests {
+    use approx::assert_relative_eq;
+    use burn::tensor::{Device, TensorData};
+    use nalgebra::{Matrix6, Vector6};
+
+    use super::*;
+    use crate::geometry::Tangent;
+    use crate::loss::posterior_loss;
+    use crate::network::posterior;
+
+    const SIGMA: [f64; 6] = [0.08, 0.07, 0.09, 7e-3, 6e-3, 4e-3];
+
+    /// p and q, evidence and error of a pair.
+    struct Pair {
+        outputs: [f64; 12],
+        estimate: Tangent,
+        information: Matrix6<f64>,
+        error: Tangent,
+    }
+
+    /// Evidence much sharper than the prior, as correlated as that of a road, about an error of `size` standard
+    /// deviations.
+    fn pair(size: f64) -> Pair {
+        let unit = Matrix6::from_diagonal(&Vector6::from(SIGMA).map(f64::recip));
+        let mixed =
+            Matrix6::from_fn(|row, column| if row == column { 1.0 } else { 0.9 * ((3 * row + column) as f64).sin() });
+        let error = size * Vector6::from(SIGMA).component_mul(&Vector6::new(1.0, -0.6, 0.3, 0.8, -1.2, 0.5));
+        let outputs = std::array::from_fn(|k| {
+            if k < 6 { 2.0 * SIGMA[k].ln() + 0.3 * k as f64 } else { 1.0 + 0.4 * (k as f64).cos() }
+        });
+        Pair {
+            outputs,
+            estimate: error + 0.02 * Vector6::from(SIGMA),
+            information: unit * (mixed * mixed.transpose() + Matrix6::identity()) * unit * 2e3,
+            error,
+        }
+    }
+
+    fn tensor<const D: usize>(values: impl IntoIterator<Item = f64>, shape: [usize; D], device: &Device) -> Tensor<D> {
+        let values: Vec<f32> = values.into_iter().map(|value| value as f32).collect();
+        Tensor::from_data(TensorData::new(values, shape), device)
+    }
+
+    fn loss(outputs: Tensor<2>, pair: &Pair, share: f64) -> Tensor<1> {
+        let device = outputs.device();
+        let evidence = EvidenceTensors {
+            estimate: tensor(pair.estimate.iter().copied(), [1, 6], &device),
+            information: tensor(pair.information.iter().copied(), [1, 6, 6], &device),
+        };
+        let error = tensor(pair.error.iter().copied(), [1, 6], &device);
+        let scored = PosteriorTensors::new(&outputs, &evidence, error, &SIGMA);
+        posterior_loss(scored.log_determinant, scored.whitened_mean, scored.whitened_rest, share)
+    }
+
+    fn value(pair: &Pair, share: f64) -> f64 {
+        let outputs = tensor(pair.outputs, [1, 12], &Device::flex());
+        f64::from(loss(outputs, pair, share).into_scalar::<f32>())
+    }
+
+    /// The same in f64, with matrices.
+    fn expected(pair: &Pair, share: f64) -> f64 {
+        let known = posterior(&pair.outputs, &pair.estimate, &pair.information).unwrap();
+        let (corrected, log_determinant) = known.covariance.mahalanobis(&(pair.error - known.mean)).unwrap();
+        let (whole, whole_log_determinant) = known.second_moment().mahalanobis(&pair.error).unwrap();
+        share * (log_determinant + corrected) + (1.0 - share) * (whole_log_determinant + whole)
+    }
+
+    #[test]
+    fn the_loss_is_the_likelihood_of_the_posterior() {
+        for size in [0.0, 0.1, 1.0, 10.0] {
+            for share in [0.0, 0.5, 1.0] {
+                let pair = pair(size);
+                assert_relative_eq!(value(&pair, share), expected(&pair, share), epsilon = 0.02, max_relative = 1e-3);
+            }
+        }
+    }
+
+    #[test]
+    fn evidence_without_information_leaves_the_prior() {
+        let pair = Pair { information: Matrix6::zeros(), estimate: Tangent::zeros(), ..pair(1.0) };
+        let known = posterior(&pair.outputs, &pair.estimate, &pair.information).unwrap();
+        assert_eq!(known.mean, Tangent::zeros());
+        for c in 0..6 {
+            assert_relative_eq!(known.covariance.matrix()[(c, c)], pair.outputs[c].exp(), max_relative = 1e-12);
+        }
+        assert_relative_eq!(value(&pair, 0.5), expected(&pair, 0.5), max_relative = 1e-4);
+    }
+
+    #[test]
+    fn gradients_are_those_of_finite_differences() {
+        let device = Device::flex().autodiff();
+        for share in [0.0, 0.3, 1.0] {
+            let pair = pair(1.0);
+            let outputs = tensor(pair.outputs, [1, 12], &device).require_grad();
+            let gradients = loss(outputs.clone(), &pair, share).sum().backward();
+            let gradient: Vec<f32> = outputs.grad(&gradients).unwrap().into_data().iter().collect();
+            for k in 0..12 {
+                let shifted = |by: f64| {
+                    let mut outputs = pair.outputs;
+                    outputs[k] += by;
+                    expected(&Pair { outputs, ..self::pair(1.0) }, share)
+                };
+                let difference = (shifted(1e-4) - shifted(-1e-4)) / 2e-4;
+                assert_relative_eq!(f64::from(gradient[k]), difference, epsilon = 0.02, max_relative = 0.01);
+            }
+        }
+    }
+
+    #[test]
+    fn the_loss_and_its_gradients_are_finite_whatever_the_numbers() {
+        let device = Device::flex().autodiff();
+        for wild in [0.0, 50.0, -50.0, 1e4, -1e4] {
+            for (size, information) in [(0.0, 0.0), (1e3, 1.0), (1e3, 1e20), (1.0, 1e-20)] {
+                // A rank of one: what a single direction shows.
+                let pair = Pair { information: Matrix6::from_element(information), ..pair(size) };
+                let outputs = tensor([wild; 12], [1, 12], &device).require_grad();
+                let loss = loss(outputs.clone(), &pair, 0.5);
+                let gradients = loss.clone().sum().backward();
+                let gradient: Vec<f32> = outputs.grad(&gradients).unwrap().into_data().iter().collect();
+                let loss = loss.into_scalar::<f32>();
+                assert!(loss.is_finite(), "{wild}, {size}, {information}: {loss}");
+                assert!(gradient.iter().all(|value| value.is_finite()), "{wild}, {size}, {information}: {gradient:?}");
+            }
+        }
+    }
+}

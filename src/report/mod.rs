@@ -14,7 +14,7 @@ mod table;
 mod table_two;
 
 pub use comparison::{Comparison, Entry, Judged};
-pub use contact_sheet::{CONTACT_SHEET_COLUMNS, contact_sheet};
+pub use contact_sheet::{CONTACT_SHEET_COLUMNS, SheetRow, contact_sheet};
 pub use fusion::{FusionRow, fusion_table};
 pub use html::html_page;
 pub use scores::{Detail, Intervals, render_results};

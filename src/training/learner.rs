@@ -242,7 +242,7 @@ impl Learner {
                 batch + 1
             )));
         }
-        let share = batch as f64 / (self.config.training.epochs * self.batches_per_epoch()) as f64;
+        let share = self.share_of_stage(batch);
         let learning_rate = self.config.training.learning_rate * rate_factor(self.config.training.schedule, share);
         let model = self.model.take().expect("put back by the step before");
         self.model = Some(self.optimiser.step(learning_rate, model, gradients.grads()));
@@ -299,8 +299,9 @@ impl Learner {
             SplitName::Validation => self.watched_reader.clone(),
             _ => Arc::new(PairReader::new(&self.config, &self.dataset, SplitName::Validation)),
         };
-        let predictions =
-            self.predict(&model, &self.dataset.validation, self.architecture.images(), &reader, observer)?;
+        let learned = |system: usize| self.config.systems[system].share > 0.0;
+        let split = self.dataset.validation.of_systems(learned);
+        let predictions = self.predict(&model, &split, self.architecture.images(), &reader, observer)?;
         let learned = self.config.systems.iter().filter(|system| system.share > 0.0);
         let learned: Vec<&str> = learned.map(|system| system.name.as_str()).collect();
         let split = SplitName::Validation.name();
@@ -342,6 +343,14 @@ impl Learner {
     /// Mini-batches at the start that show evidence alone.
     fn evidence_batches(&self) -> usize {
         self.config.training.evidence_epochs * self.batches_per_epoch()
+    }
+
+    /// How far a mini-batch lies in its stage, 0…1: evidence alone, then images; or the whole training.
+    fn share_of_stage(&self, batch: usize) -> f64 {
+        let all = self.config.training.epochs * self.batches_per_epoch();
+        let alone = self.evidence_batches().min(all);
+        let (begin, end) = if batch < alone { (0, alone) } else { (alone, all) };
+        (batch - begin) as f64 / (end - begin).max(1) as f64
     }
 
     /// Whether images are shown in a mini-batch of the training.

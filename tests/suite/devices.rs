@@ -4,12 +4,13 @@ use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use burn::train::TrainStep;
 use nalgebra::{Vector2, Vector3};
-use relcov::data::{PairBatch, RightBatch};
+use relcov::alignment::FEATURES;
+use relcov::data::{EvidenceBatch, ImageBatch, PairBatch, RightBatch};
 use relcov::device::open_device;
 use relcov::geometry::{Pinhole, Pose, Tangent};
 use relcov::loss::gaussian_loss;
-use relcov::model::{Architecture, ImagePair, InputBasis, MicroBatch, PoseInput};
-use relcov::network::Head;
+use relcov::model::{Architecture, EvidenceInput, ImagePair, InputBasis, MicroBatch, PoseInput};
+use relcov::network::{Head, ImageNetwork};
 use relcov::warp::Warp;
 
 const HEIGHT: usize = 16;
@@ -50,15 +51,28 @@ fn pairs(device: &Device) -> PairBatch {
         target_from_target: pose_tensor(&[right_from_left(); 2], device),
     };
     let motion: Vec<f32> = poses.iter().flat_map(|pose| pose.log().as_slice().to_vec()).map(|x| x as f32).collect();
-    PairBatch {
+    let images = ImageBatch {
         source_image: floats([2, 3, HEIGHT, WIDTH], wave(0.21), device),
         target_image: floats([2, 3, HEIGHT, WIDTH], wave(0.23), device),
         target_depth: floats([2, 1, HEIGHT, WIDTH], |k| 4.0 + 2.0 * (k as f32 * 0.05).sin(), device),
         intrinsics: floats([2, 4], |k| intrinsics[k % 4], device),
         source_from_target: pose_tensor(&poses, device),
+        right: Some(right),
+    };
+    // Symmetric and dominated by its diagonal.
+    let information = |k: usize| {
+        let (row, column) = (k / 6 % 6, k % 6);
+        if row == column { 4e3 * (1 + row) as f32 } else { 300.0 * ((row + column) as f32).cos() }
+    };
+    PairBatch {
+        images: Some(images),
         motion: floats([2, 6], |k| motion[k], device),
         error: floats([2, 6], |k| 0.02 * (k as f32 - 5.5), device),
-        right: Some(right),
+        evidence: Some(EvidenceBatch {
+            features: floats([2, FEATURES], |k| (k as f32 * 0.7).sin(), device),
+            estimate: floats([2, 6], |k| 0.018 * (k as f32 - 5.0), device),
+            information: floats([2, 6, 6], information, device),
+        }),
     }
 }
 
@@ -82,12 +96,23 @@ fn raw() -> Architecture {
     Architecture { pair: ImagePair::Raw, head: Head::Full, ..architecture(InputBasis::Pair) }
 }
 
+/// With evidence beside the images, and a posterior.
+fn with_evidence() -> Architecture {
+    let evidence = EvidenceInput::Alignment;
+    Architecture { evidence, head: Head::Posterior, ..architecture(InputBasis::Residual) }
+}
+
+/// Evidence alone.
+fn evidence_alone() -> Architecture {
+    Architecture { network: ImageNetwork::None, ..with_evidence() }
+}
+
 /// Loss and the gradients of every weight for the fixed pairs, with the oracle's weights.
 fn training_step(architecture: &Architecture, device: &Device) -> (Vec<f64>, Vec<Vec<f64>>) {
     let autodiff = device.clone().autodiff();
     let model = architecture.init([-4.0; 6], &autodiff);
     let model = crate::support::with_formula_weights(model);
-    let output = TrainStep::step(&model, MicroBatch { pairs: pairs(device), weight: 0.5 });
+    let output = TrainStep::step(&model, MicroBatch { pairs: pairs(device), weight: 0.5, corrected_share: 0.5 });
     let mut reader = GradientReader { gradients: &output.grads, found: Vec::new() };
     model.visit(&mut reader);
     (values(output.item.loss), reader.found)
@@ -105,13 +130,19 @@ impl burn::module::ModuleVisitor for GradientReader<'_> {
 }
 
 fn compare_with_flex(device: &Device) {
-    for (architecture, tensors) in [(architecture(InputBasis::Residual), 14), (extended(), 18), (raw(), 14)] {
+    for (architecture, tensors) in [
+        (architecture(InputBasis::Residual), 14),
+        (extended(), 18),
+        (raw(), 14),
+        (with_evidence(), 20),
+        (evidence_alone(), 8),
+    ] {
         let (loss, gradients) = training_step(&architecture, &open_device("flex").unwrap());
         let (other_loss, other_gradients) = training_step(&architecture, device);
         for (a, b) in loss.iter().zip(&other_loss) {
             assert!((a - b).abs() <= 1e-4 * a.abs(), "{architecture:?}: loss {a} against {b}");
         }
-        assert_eq!(gradients.len(), tensors, "weights and biases of seven or nine layers");
+        assert_eq!(gradients.len(), tensors, "weights and biases of every layer");
         for (layer, (a, b)) in gradients.iter().zip(&other_gradients).enumerate() {
             let scale = a.iter().map(|x| x.abs()).fold(0.0, f64::max);
             let off = a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);

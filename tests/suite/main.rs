@@ -5,6 +5,7 @@ mod cli;
 mod depth_cli;
 mod devices;
 mod eval_cli;
+mod evidence;
 mod exports;
 mod fuse_cli;
 mod kitti;

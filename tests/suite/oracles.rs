@@ -3,7 +3,7 @@
 use burn::tensor::{Device, Tensor, TensorData};
 use relcov::geometry::{Covariance6, Pose, Tangent};
 use relcov::loss::gaussian_loss;
-use relcov::network::{CovarianceNetworkConfig, Head};
+use relcov::network::{CovarianceNetworkConfig, NetworkInput};
 use relcov::warp::Warp;
 use safetensors::SafeTensors;
 use serde_json::Value;
@@ -106,8 +106,7 @@ fn network_and_loss_agree_with_an_independent_one() {
     let device = Device::flex();
     let input: Tensor<4> = tensor(&file, "input", &device);
     let [_, channels, height, width] = input.dims();
-    let network = CovarianceNetworkConfig { channels, pose: false, head: Head::Diagonal, height, width, dropout: 0.5 }
-        .init([0.0; 6], &device);
+    let network = CovarianceNetworkConfig::table_one(channels, height, width).init([0.0; 6], &device);
     let network = crate::support::with_formula_weights(network);
 
     for (layer, activation) in network.features(input.clone()).into_iter().enumerate() {
@@ -115,7 +114,7 @@ fn network_and_loss_agree_with_an_independent_one() {
         let expected = oracle["activations"][format!("c{}_mean", layer + 1)].as_f64().unwrap();
         assert!((f64::from(mean) - expected).abs() <= 1e-4 * expected, "c{}: {mean} against {expected}", layer + 1);
     }
-    let d = network.forward(input, None);
+    let d = network.forward(NetworkInput { images: Some(input), ..NetworkInput::default() });
     let expected_d: Tensor<2> = tensor(&file, "d", &device);
     let relative = largest(d.clone() - expected_d.clone()) / largest(expected_d.clone());
     assert!(relative <= 1e-4, "d is off by {relative}");

@@ -53,7 +53,8 @@ fn micro_batches_give_the_gradient_of_the_whole_batch() {
     let gradient = |parts: usize| {
         let mut accumulator = GradientsAccumulator::new();
         for part in samples.chunks(samples.len() / parts) {
-            let batch = MicroBatch { pairs: PairBatch::new(part, &device), weight: 1.0 / samples.len() as f32 };
+            let pairs = PairBatch::new(part, &device);
+            let batch = MicroBatch { pairs, weight: 1.0 / samples.len() as f32, corrected_share: 0.5 };
             accumulator.accumulate(&model, TrainStep::step(&model, batch).grads);
         }
         let mut all = Flatten { gradients: accumulator.grads(), values: Vec::new() };
