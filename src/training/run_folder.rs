@@ -221,13 +221,15 @@ impl RunFolder {
         }
         let mut model = manifest.architecture.init(manifest.initial_log_variance, device);
         let expected = || {
-            let Architecture { width, height, pair, pose, head, .. } = &manifest.architecture;
+            let Architecture { width, height, pair, pose, head, network, evidence, .. } = &manifest.architecture;
             let channels = manifest.architecture.channels();
             format!(
-                "the weights of Table I at {width}x{height}, {channels} channels, pair {pair:?}, pose {pose:?}, head {head:?}, as manifest.json says"
+                "weights for {width}x{height}, {channels} channels, network {network:?}, evidence {evidence:?}, pair {pair:?}, pose {pose:?}, head {head:?}, as manifest.json says"
             )
         };
-        let mut store = SafetensorsStore::from_file(&path);
+        // Runs of earlier versions have c1…c5 in the network itself.
+        let mut store = SafetensorsStore::from_file(&path)
+            .with_key_remapping(r"^network\.(c[1-5])\.", "network.convolutions.$1.");
         let applied = model
             .load_from(&mut store)
             .map_err(|error| Error::malformed(&path, Place::Whole, first_line(&error.to_string()), expected()))?;
