@@ -8,6 +8,7 @@
 //! | to | see |
 //! |---|---|
 //! | predict a covariance with a trained model | [`Model`], its input a [`Measurement`], its output a [`Covariance6`] |
+//! | know the error that the images show, and what remains without it | [`Model::judge`], its output a [`Judgement`]; [`alignment`] |
 //! | predict for a whole data set, or for a stream of JSON lines | [`Model::predict_measurements`], [`Stream`], or `relcov predict` |
 //! | hand covariances to GTSAM, g2o, ROS, … | [`export`] |
 //! | fuse systems and fixes to a trajectory | [`fusion`], or `relcov fuse` |
@@ -20,7 +21,7 @@
 //! | read the method | [`model`], [`warp`], [`network`], [`loss`] |
 //! | know why it is fast | [`kernels`] |
 //!
-//! Data flow one way: [`data`] (with [`systems`] and [`depth`]) → [`warp`] → [`network`] → [`loss`] →
+//! Data flow one way: [`data`] (with [`systems`], [`depth`] and [`alignment`]) → [`warp`] → [`network`] → [`loss`] →
 //! [`training`] → [`evaluation`] → [`report`]; a trained [`Model`] → [`export`], [`fusion`]. Two worlds meet at two doors: [`data::PairBatch`] takes
 //! f64 poses to f32 tensors, [`evaluation`] and [`Model::predict`] bring numbers back.
 #![warn(missing_docs)]
@@ -50,7 +51,7 @@ pub mod warp;
 
 pub use error::{Error, Result};
 pub use geometry::Covariance6;
-pub use predict::{Measurement, Model, RightView, Stream, StreamSettings};
+pub use predict::{Judgement, Measurement, Model, RightView, Stream, StreamSettings};
 
 #[doc(hidden)]
 pub mod cli;

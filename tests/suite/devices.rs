@@ -76,6 +76,10 @@ fn pairs(device: &Device) -> PairBatch {
     }
 }
 
+fn images(device: &Device) -> ImageBatch {
+    pairs(device).images.expect("included")
+}
+
 fn architecture(input: InputBasis) -> Architecture {
     Architecture { input, dropout: 0.0, log_variance_floor: Some([-14.0; 6]), ..Architecture::paper(WIDTH, HEIGHT) }
 }
@@ -179,7 +183,7 @@ fn devices_that_are_not_there_are_explained() {
 fn warp_by_identity_returns_the_source_image() {
     for name in ["flex", "ndarray"] {
         let device = open_device(name).unwrap();
-        let pairs = pairs(&device);
+        let pairs = images(&device);
         let identity = pose_tensor(&[Pose::identity(); 2], &device);
         let warped = Warp.forward(pairs.source_image.clone(), pairs.target_depth, pairs.intrinsics, identity);
         assert_eq!(warped.valid_mask.min().into_scalar::<f32>(), 1.0, "{name}");
@@ -191,7 +195,7 @@ fn warp_by_identity_returns_the_source_image() {
 #[test]
 fn the_warp_projects_where_the_camera_does() {
     let device = open_device("flex").unwrap();
-    let pairs = pairs(&device);
+    let pairs = images(&device);
     let pose = Pose::exp(&Tangent::new(0.1, -0.05, 0.4, 0.01, 0.02, -0.01));
     let coordinates = Warp.project(pairs.target_depth.clone(), pairs.intrinsics, pairs.source_from_target);
     let (u, v, depth) = (values(coordinates.u), values(coordinates.v), values(pairs.target_depth));
@@ -206,7 +210,7 @@ fn the_warp_projects_where_the_camera_does() {
 #[test]
 fn pixels_behind_the_camera_or_without_depth_are_invalid_and_finite() {
     let device = open_device("flex").unwrap();
-    let pairs = pairs(&device);
+    let pairs = images(&device);
     let backwards = Pose { translation: Vector3::new(0.0, 0.0, -20.0), ..Pose::identity() };
     for (depth, pose) in [(pairs.target_depth.clone(), backwards), (pairs.target_depth.zeros_like(), Pose::identity())]
     {
@@ -222,7 +226,7 @@ fn pixels_behind_the_camera_or_without_depth_are_invalid_and_finite() {
 #[test]
 fn the_warp_in_one_pass_agrees_with_the_warp_in_steps() {
     let device = open_device("flex").unwrap();
-    let mut pairs = pairs(&device);
+    let mut pairs = images(&device);
     let noise = |scale: f32| move |k: usize| ((k as f32 * 12.9898 + scale).sin() * 43758.547).fract().abs();
     for round in 0..20 {
         let size = 0.05 * round as f32;
@@ -237,7 +241,7 @@ fn the_warp_in_one_pass_agrees_with_the_warp_in_steps() {
         pairs.target_depth = floats([2, 1, HEIGHT, WIDTH], depth, &device);
         pairs.source_image = floats([2, 3, HEIGHT, WIDTH], noise(size + 2.0), &device);
         let pose = pose_tensor(&poses, &device);
-        let PairBatch { source_image, target_depth, intrinsics, .. } = pairs.clone();
+        let ImageBatch { source_image, target_depth, intrinsics, .. } = pairs.clone();
         let coordinates = Warp.project(target_depth.clone(), intrinsics.clone(), pose.clone());
         let [u, v] = [coordinates.u.clone(), coordinates.v.clone()].map(values);
         let in_steps = Warp.sample(source_image.clone(), coordinates);
@@ -262,7 +266,7 @@ fn the_warp_in_one_pass_agrees_with_the_warp_in_steps() {
 fn gradients_of_the_warp_agree_with_finite_differences() {
     let device = open_device("flex").unwrap();
     let autodiff = device.clone().autodiff();
-    let fixed = pairs(&device);
+    let fixed = images(&device);
     // Pixels near the border may step out of the image; there the warp jumps.
     let at = Warp.project(fixed.target_depth.clone(), fixed.intrinsics.clone(), fixed.source_from_target.clone());
     let inner = |x: Tensor<4>, size: usize| (x - (size - 1) as f32 / 2.0).abs().lower_elem(size as f32 / 2.0 - 2.0);
