@@ -1,10 +1,13 @@
 //! Gauss-Newton from the measured pose, coarse to fine.
 
+use std::borrow::Cow;
+
 use nalgebra::{Matrix2, Matrix6, Matrix6x2, SVector};
 
 use super::evidence::{Evidence, LEVELS, LevelEvidence, NoVerdict};
 use super::image::{GreyImage, Textured, halved_depth};
-use super::normal_equations::{NormalEquations, Points, State, UNKNOWNS, normal_equations, residuals, scale};
+use super::normal_equations::{NormalEquations, Points, State, UNKNOWNS, normal_equations, residuals};
+use super::scale::scale;
 use crate::geometry::{Pinhole, Pose, Tangent};
 
 /// Most steps at a level.
@@ -87,7 +90,7 @@ pub fn align(input: &AlignmentInput) -> Evidence {
             }
             continue;
         }
-        let before = scale(&buffer, robust_guess(&buffer), LEAST_RESIDUAL);
+        let before = scale(&buffer, robust_guess(&buffer, valid), LEAST_RESIDUAL);
         let no_texture = Some(NoVerdict::NoTexture);
         let Some(mut aligned) = align_level(level, &mut state, before, longest_m, &mut buffer) else {
             return Evidence { no_verdict: no_texture, ..evidence };
@@ -202,13 +205,13 @@ impl State {
 
 /// From coarse to fine; `None` where an image has no gradient anywhere, or too few pixels for all levels.
 fn pyramid(source: &GreyImage, target: &GreyImage, depth_m: &[f32], camera: &Pinhole) -> Option<[Level; LEVELS]> {
-    let (mut source, mut target, mut depth_m) = (source.clone(), target.clone(), depth_m.to_vec());
+    let (mut source, mut target, mut depth_m) = (Cow::Borrowed(source), Cow::Borrowed(target), Cow::Borrowed(depth_m));
     let mut intrinsics = [camera.fx, camera.fy, camera.cx, camera.cy];
     let mut levels = Vec::with_capacity(LEVELS);
     for level in 0..LEVELS {
         if level > 0 {
-            depth_m = halved_depth(&depth_m, target.width, target.height);
-            (source, target) = (source.halved(), target.halved());
+            depth_m = Cow::Owned(halved_depth(&depth_m, target.width, target.height));
+            (source, target) = (Cow::Owned(source.halved()), Cow::Owned(target.halved()));
             let [fx, fy, cx, cy] = intrinsics;
             intrinsics = [0.5 * fx, 0.5 * fy, 0.5 * (cx + 0.5) - 0.5, 0.5 * (cy + 0.5) - 0.5];
         }
@@ -227,12 +230,14 @@ fn pyramid(source: &GreyImage, target: &GreyImage, depth_m: &[f32], camera: &Pin
     levels.try_into().ok()
 }
 
+/// Whether the RMS gradient is more than [`LEAST_GRADIENT`]; most images show that within their first rows.
 fn shows_anything(image: &Textured) -> bool {
-    let squares = image
-        .pixels
-        .iter()
-        .map(|[_, along_row, along_column, _]| f64::from(along_row * along_row + along_column * along_column));
-    (squares.sum::<f64>() / image.pixels.len() as f64).sqrt() > LEAST_GRADIENT
+    let enough = LEAST_GRADIENT * LEAST_GRADIENT * image.pixels.len() as f64;
+    let mut squares = 0.0;
+    image.pixels.iter().any(|[_, along_row, along_column, _]| {
+        squares += f64::from(along_row * along_row + along_column * along_column);
+        squares > enough
+    })
 }
 
 fn median_depth(points: &Points) -> f32 {
@@ -242,11 +247,9 @@ fn median_depth(points: &Points) -> f32 {
 }
 
 /// A first guess of the residuals' scale: 1.48 times the median of |r| over a sample.
-fn robust_guess(residuals: &[f32]) -> f32 {
+fn robust_guess(residuals: &[f32], valid_count: usize) -> f32 {
     let valid = residuals.iter().filter(|residual| !residual.is_nan());
-    let mut sample: Vec<f32> = valid.map(|residual| residual.abs()).collect();
-    let step = sample.len() / 512 + 1;
-    let mut sample: Vec<f32> = sample.drain(..).step_by(step).collect();
+    let mut sample: Vec<f32> = valid.step_by(valid_count / 512 + 1).map(|residual| residual.abs()).collect();
     let middle = sample.len() / 2;
     1.4826 * *sample.select_nth_unstable_by(middle, f32::total_cmp).1
 }

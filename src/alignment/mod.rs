@@ -14,6 +14,7 @@ mod image;
 #[cfg(test)]
 mod laws;
 mod normal_equations;
+mod scale;
 
 pub use evidence::{Evidence, LEVELS, LevelEvidence, NoVerdict};
 pub use features::{FEATURES, features};

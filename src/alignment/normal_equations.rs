@@ -32,7 +32,6 @@ const STILL_PX: f32 = 0.5;
 
 /// Target pixels of known depth: points in camera axes, m, and what the target image shows there. Padded with points
 /// behind every camera to a whole number of chunks.
-#[derive(Default)]
 pub(super) struct Points {
     pub x: Vec<f32>,
     pub y: Vec<f32>,
@@ -53,28 +52,44 @@ impl Points {
     pub fn new(target: &Textured, depth_m: &[f32], [fx, fy, cx, cy]: [f32; 4]) -> Self {
         let Textured { width, height, ref pixels } = *target;
         let tiles_across = width.div_ceil(TILE);
-        let mut points = Self { tiles: tiles_across * height.div_ceil(TILE), ..Self::default() };
+        let list = || vec![0.0; pixels.len()];
+        let (mut x, mut y, mut z, mut grey, mut squared_gradient) = (list(), list(), list(), list(), list());
+        let mut tile = vec![0; pixels.len()];
+        let rays_x: Vec<f32> = (0..width).map(|column| (column as f32 - cx) / fx).collect();
+        let mut known = 0;
         for (row, (pixels, depths)) in pixels.chunks_exact(width).zip(depth_m.chunks_exact(width)).enumerate() {
             let ray_y = (row as f32 - cy) / fy;
-            for (column, (&[grey, along_row, along_column, _], &depth)) in pixels.iter().zip(depths).enumerate() {
-                if depth > 0.0 && depth.is_finite() {
-                    points.x.push((column as f32 - cx) / fx * depth);
-                    points.y.push(ray_y * depth);
-                    points.z.push(depth);
-                    points.grey.push(grey);
-                    points.tile.push((row / TILE * tiles_across + column / TILE) as u16);
-                    points.squared_gradient.push(along_row * along_row + along_column * along_column);
-                }
+            let first_tile = row / TILE * tiles_across;
+            for (column, ((pixel, &depth), ray_x)) in pixels.iter().zip(depths).zip(&rays_x).enumerate() {
+                let [value, along_row, along_column, _] = *pixel;
+                // Written in any case, and over again where the depth is unknown: a branch would be guessed wrong.
+                x[known] = ray_x * depth;
+                y[known] = ray_y * depth;
+                z[known] = depth;
+                grey[known] = value;
+                tile[known] = (first_tile + column / TILE) as u16;
+                squared_gradient[known] = along_row * along_row + along_column * along_column;
+                known += usize::from(depth > 0.0 && depth < f32::INFINITY);
             }
         }
-        points.known = points.z.len();
-        let padded = points.known.next_multiple_of(CHUNK);
-        for list in [&mut points.x, &mut points.y, &mut points.grey] {
-            list.resize(padded, 0.0);
+        let padded = |mut list: Vec<f32>, padding: f32| {
+            list.truncate(known);
+            list.resize(known.next_multiple_of(CHUNK), padding);
+            list
+        };
+        tile.truncate(known);
+        squared_gradient.truncate(known);
+        Self {
+            x: padded(x, 0.0),
+            y: padded(y, 0.0),
+            z: padded(z, -f32::MAX),
+            grey: padded(grey, 0.0),
+            still: vec![1.0; known.next_multiple_of(CHUNK)],
+            tile,
+            squared_gradient,
+            tiles: tiles_across * height.div_ceil(TILE),
+            known,
         }
-        points.z.resize(padded, -f32::MAX);
-        points.still.resize(padded, 1.0);
-        points
     }
 
     /// Believes a tile to stand still as far as its residuals may come from a displacement of less than [`STILL_PX`],
@@ -144,58 +159,6 @@ pub(super) fn normal_equations(
     NormalEquations { hessian: SMatrix::from_fn(at), gradient: SVector::from_fn(|row, _| at(row, UNKNOWNS)), valid }
 }
 
-/// The scale of residuals under Student's t: the fixed point of `σ² = mean (ν+1) r² / (ν + r²/σ²)` (Kerl et al. 2013,
-/// Eq. 14), from a first guess; NaN are left out.
-pub(super) fn scale(residuals: &[f32], guess: f32, least: f32) -> f32 {
-    let mut scale = guess.max(least);
-    for _ in 0..SCALE_STEPS {
-        let (sum, count) = Instructions::current().run(ScaleSums { residuals, scale });
-        if count == 0.0 {
-            return least;
-        }
-        let next = ((sum / count).sqrt() as f32).max(least);
-        let settled = (next - scale).abs() < 0.02 * scale;
-        scale = next;
-        if settled {
-            break;
-        }
-    }
-    scale
-}
-
-/// Most steps towards the fixed point.
-const SCALE_STEPS: usize = 12;
-
-struct ScaleSums<'a> {
-    residuals: &'a [f32],
-    scale: f32,
-}
-
-impl Kernel for ScaleSums<'_> {
-    type Output = (f64, f64);
-
-    #[inline(always)]
-    fn run<S: Simd>(self, _: S) -> (f64, f64) {
-        let precision = 1.0 / (self.scale * self.scale);
-        let (mut sum, mut count) = (0.0, 0.0);
-        for block in self.residuals.chunks(CHUNK * FLUSH) {
-            let (mut sums, mut counts) = ([0.0f32; LANES], [0.0f32; LANES]);
-            for residuals in block.as_chunks::<LANES>().0 {
-                for lane in 0..LANES {
-                    let r = residuals[lane];
-                    let valid = r == r;
-                    let square = if valid { r * r } else { 0.0 };
-                    sums[lane] += square * (DEGREES_OF_FREEDOM + 1.0) / (DEGREES_OF_FREEDOM + square * precision);
-                    counts[lane] += if valid { 1.0 } else { 0.0 };
-                }
-            }
-            sum += sums.iter().map(|&value| f64::from(value)).sum::<f64>();
-            count += counts.iter().map(|&value| f64::from(value)).sum::<f64>();
-        }
-        (sum, count)
-    }
-}
-
 struct Pass<'a> {
     source: &'a Textured,
     camera: [f32; 4],
@@ -210,6 +173,7 @@ struct Pass<'a> {
 struct Projected {
     x: [f32; CHUNK],
     y: [f32; CHUNK],
+    z: [f32; CHUNK],
     /// 1/z.
     inverse_z: [f32; CHUNK],
     /// 1 inside the source image, else 0.
@@ -234,85 +198,100 @@ impl Kernel for Pass<'_> {
         let precision = scale.map(|scale| 1.0 / (scale * scale));
         let mut sums = [0.0f64; PRODUCTS];
         let mut lanes = [[0.0f32; LANES]; PRODUCTS];
-        let mut valid = 0.0f32;
-        let mut all_valid = 0.0f64;
+        let mut valid = [0u32; LANES];
         let mut projected = Projected {
             x: [0.0; CHUNK],
             y: [0.0; CHUNK],
+            z: [0.0; CHUNK],
             inverse_z: [0.0; CHUNK],
             valid: [0.0; CHUNK],
             first: [0; CHUNK],
             right: [0.0; CHUNK],
             lower: [0.0; CHUNK],
         };
-        let mut sampled = [[0.0f32; CHUNK]; 3];
+        let mut sampled = [[0.0f32; CHUNK]; 4];
         let mut columns = [[0.0f32; CHUNK]; COLUMNS];
-        let mut weighted = [[0.0f32; CHUNK]; COLUMNS];
+        let mut weights = [0.0f32; CHUNK];
         let lists = points.x.as_chunks::<CHUNK>().0.iter().zip(points.y.as_chunks::<CHUNK>().0);
         let lists = lists.zip(points.z.as_chunks::<CHUNK>().0).zip(points.grey.as_chunks::<CHUNK>().0);
         let outputs = points.still.as_chunks::<CHUNK>().0.iter().zip(residuals.as_chunks_mut::<CHUNK>().0);
         for (index, ((((x, y), z), grey), (still, output))) in lists.zip(outputs).enumerate() {
             project([x, y, z], &pose, camera, [width, height], &mut projected);
             sample(pixels, width, &projected, &mut sampled);
-            let [values, along_rows, along_columns] = &sampled;
             let r = &mut columns[UNKNOWNS];
             for k in 0..CHUNK {
-                r[k] = gain * values[k] + bias - grey[k];
+                r[k] = gain * sampled[0][k] + bias - grey[k];
                 output[k] = if projected.valid[k] > 0.0 { r[k] } else { f32::NAN };
             }
             let Some(precision) = precision else { continue };
-            let [fx, fy, _, _] = camera;
+            differentiate(&projected, &sampled, camera, gain, &mut columns);
+            let r = &columns[UNKNOWNS];
             for k in 0..CHUNK {
-                let inverse_z = projected.inverse_z[k];
-                let (x, y) = (projected.x[k], projected.y[k]);
-                // Derivatives of the residual by the point in the source view.
-                let by_x = gain * along_rows[k] * fx * inverse_z;
-                let by_y = gain * along_columns[k] * fy * inverse_z;
-                let by_z = -(by_x * x + by_y * y) * inverse_z;
-                let z = 1.0 / inverse_z;
-                columns[0][k] = -by_x;
-                columns[1][k] = -by_y;
-                columns[2][k] = -by_z;
-                columns[3][k] = z * by_y - y * by_z;
-                columns[4][k] = x * by_z - z * by_x;
-                columns[5][k] = y * by_x - x * by_y;
-                columns[6][k] = values[k];
-                columns[7][k] = 1.0;
-            }
-            let mut weights = [0.0f32; CHUNK];
-            for k in 0..CHUNK {
-                let r = columns[UNKNOWNS][k];
-                let square = r * r * precision;
+                let square = r[k] * r[k] * precision;
                 let weight = (DEGREES_OF_FREEDOM + 1.0) / (DEGREES_OF_FREEDOM + square);
-                weights[k] = if square < OUTLIER * OUTLIER { weight * projected.valid[k] * still[k] } else { 0.0 };
-                valid += projected.valid[k];
+                let weight = weight * projected.valid[k] * still[k];
+                weights[k] = if square < OUTLIER * OUTLIER { weight } else { 0.0 };
             }
-            for (weighted, column) in weighted.iter_mut().zip(&columns) {
-                for k in 0..CHUNK {
-                    weighted[k] = weights[k] * column[k];
+            for chunk in projected.valid.as_chunks::<LANES>().0 {
+                for lane in 0..LANES {
+                    valid[lane] += u32::from(chunk[lane] > 0.0);
                 }
             }
-            let mut product = 0;
-            for row in 0..COLUMNS {
-                for column in row..COLUMNS {
-                    let (a, b) = (weighted[row].as_chunks::<LANES>().0, columns[column].as_chunks::<LANES>().0);
-                    let mut sum = lanes[product];
-                    for (a, b) in a.iter().zip(b) {
-                        for lane in 0..LANES {
-                            sum[lane] += a[lane] * b[lane];
-                        }
-                    }
-                    lanes[product] = sum;
-                    product += 1;
-                }
-            }
+            multiply(&weights, &columns, &mut lanes);
             if index % FLUSH == FLUSH - 1 {
                 flush(&mut lanes, &mut sums);
-                all_valid += f64::from(std::mem::take(&mut valid));
             }
         }
         flush(&mut lanes, &mut sums);
-        (sums, (all_valid + f64::from(valid)) as usize)
+        (sums, valid.iter().sum::<u32>() as usize)
+    }
+}
+
+/// Derivatives of the residuals by the unknowns.
+#[inline(always)]
+fn differentiate(
+    projected: &Projected,
+    [values, along_rows, along_columns, _]: &[[f32; CHUNK]; 4],
+    [fx, fy, _, _]: [f32; 4],
+    gain: f32,
+    columns: &mut [[f32; CHUNK]; COLUMNS],
+) {
+    for k in 0..CHUNK {
+        let (x, y, z, inverse_z) = (projected.x[k], projected.y[k], projected.z[k], projected.inverse_z[k]);
+        // By the point in the source view.
+        let by_x = gain * along_rows[k] * fx * inverse_z;
+        let by_y = gain * along_columns[k] * fy * inverse_z;
+        let by_z = -(by_x * x + by_y * y) * inverse_z;
+        columns[0][k] = -by_x;
+        columns[1][k] = -by_y;
+        columns[2][k] = -by_z;
+        columns[3][k] = z * by_y - y * by_z;
+        columns[4][k] = x * by_z - z * by_x;
+        columns[5][k] = y * by_x - x * by_y;
+        columns[6][k] = values[k];
+        columns[7][k] = 1.0;
+    }
+}
+
+/// Adds the weighted products of all columns with each other.
+#[inline(always)]
+fn multiply(weights: &[f32; CHUNK], columns: &[[f32; CHUNK]; COLUMNS], lanes: &mut [[f32; LANES]; PRODUCTS]) {
+    let mut product = 0;
+    for row in 0..COLUMNS {
+        let mut weighted = [0.0f32; CHUNK];
+        for k in 0..CHUNK {
+            weighted[k] = weights[k] * columns[row][k];
+        }
+        for column in &columns[row..] {
+            let mut sum = lanes[product];
+            for (a, b) in weighted.as_chunks::<LANES>().0.iter().zip(column.as_chunks::<LANES>().0) {
+                for lane in 0..LANES {
+                    sum[lane] += a[lane] * b[lane];
+                }
+            }
+            lanes[product] = sum;
+            product += 1;
+        }
     }
 }
 
@@ -348,33 +327,71 @@ fn project(
         // Zeros where not valid, so that products with a weight of zero are zero.
         projected.x[k] = if in_front && inside { px } else { 0.0 };
         projected.y[k] = if in_front && inside { py } else { 0.0 };
+        projected.z[k] = depth;
         projected.inverse_z[k] = inverse;
         // Clamped, so that a point that is not valid reads some pixel too. `max` turns NaN into 0.
         let (u, v) = (u.max(0.0).min(last_u), v.max(0.0).min(last_v));
-        // Signed: conversions of four lanes and more exist for those.
-        let (left, upper) = (u.min(last_u - 1.0) as i32, v.min(last_v - 1.0) as i32);
-        projected.first[k] = (upper * width as i32 + left) as u32;
-        projected.right[k] = u - left as f32;
-        projected.lower[k] = v - upper as f32;
+        let (left, upper) = (floor(u.min(last_u - 1.0)), floor(v.min(last_v - 1.0)));
+        projected.first[k] = whole(upper) * width as u32 + whole(left);
+        projected.right[k] = u - left;
+        projected.lower[k] = v - upper;
     }
+}
+
+/// From here on f32 numbers are whole. Rounding by it and reading bits are plain arithmetic in every instruction set,
+/// where conversions of numbers that may be NaN are one by one.
+const WHOLE: f32 = 8_388_608.0;
+
+/// Of a number from 0 to [`WHOLE`].
+#[inline(always)]
+fn floor(value: f32) -> f32 {
+    let nearest = (value + WHOLE) - WHOLE;
+    if nearest > value { nearest - 1.0 } else { nearest }
+}
+
+/// A whole number from 0 to [`WHOLE`] as an integer.
+#[inline(always)]
+fn whole(value: f32) -> u32 {
+    (value + WHOLE).to_bits() - WHOLE.to_bits()
 }
 
 /// Bilinear samples of intensity and gradient.
 #[inline(always)]
-fn sample(pixels: &[[f32; 4]], width: usize, projected: &Projected, sampled: &mut [[f32; CHUNK]; 3]) {
+fn sample(pixels: &[[f32; 4]], width: usize, projected: &Projected, sampled: &mut [[f32; CHUNK]; 4]) {
+    let mut samples = [[0.0f32; 4]; CHUNK];
     for k in 0..CHUNK {
-        let first = projected.first[k] as usize;
-        let upper: &[[f32; 4]; 2] = pixels[first..].first_chunk().expect("inside the image");
-        let lower: &[[f32; 4]; 2] = pixels[first + width..].first_chunk().expect("inside the image");
+        // One window, so that its bounds are checked once.
+        let window = &pixels[projected.first[k] as usize..][..width + 2];
+        let (upper, lower) = (window[..2].as_flattened(), window[width..].as_flattened());
         let (right, down) = (projected.right[k], projected.lower[k]);
+        let mut sides = [0.0f32; 8];
+        for lane in 0..8 {
+            sides[lane] = upper[lane] + (lower[lane] - upper[lane]) * down;
+        }
         let mut value = [0.0f32; 4];
         for lane in 0..4 {
-            let above = upper[0][lane] + (upper[1][lane] - upper[0][lane]) * right;
-            let below = lower[0][lane] + (lower[1][lane] - lower[0][lane]) * right;
-            value[lane] = above + (below - above) * down;
+            value[lane] = sides[lane] + (sides[lane + 4] - sides[lane]) * right;
         }
-        for (sampled, value) in sampled.iter_mut().zip(value) {
-            sampled[k] = value;
+        samples[k] = value;
+    }
+    for k in 0..CHUNK {
+        for lane in 0..4 {
+            sampled[lane][k] = samples[k][lane];
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn floor_is_exact_at_whole_numbers_and_beside_them() {
+        for whole_number in 0..5000u32 {
+            let value = whole_number as f32;
+            assert_eq!((floor(value), whole(value)), (value, whole_number));
+            assert_eq!(floor(value.next_up()), value);
+            assert_eq!(floor((value + 1.0).next_down()), value);
         }
     }
 }
