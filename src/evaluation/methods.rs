@@ -101,7 +101,8 @@ impl Method {
                 };
                 system.rows.iter().map(before).collect()
             }
-            Self::Corrected if system.rows.iter().all(|row| row.posterior.is_none()) => None,
+            // The truth has nothing that a correction could take away.
+            Self::Corrected if system.is_truth() || system.rows.iter().all(|row| row.posterior.is_none()) => None,
             Self::Corrected => system.rows.iter().map(PairRow::corrected_covariance).collect(),
             Self::Zero => Some(repeated(&[0.0; 6])),
             Self::Constant => Some(repeated(&baselines?.mean_squared_error)),

@@ -228,8 +228,8 @@ impl RunFolder {
             )
         };
         // Runs of earlier versions have c1…c5 in the network itself.
-        let mut store = SafetensorsStore::from_file(&path)
-            .with_key_remapping(r"^network\.(c[1-5])\.", "network.convolutions.$1.");
+        let mut store =
+            SafetensorsStore::from_file(&path).with_key_remapping(r"^network\.(c[1-5])\.", "network.convolutions.$1.");
         let applied = model
             .load_from(&mut store)
             .map_err(|error| Error::malformed(&path, Place::Whole, first_line(&error.to_string()), expected()))?;

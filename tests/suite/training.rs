@@ -325,3 +325,31 @@ fn an_interrupt_saves_the_mini_batch_and_says_so() {
     assert!(folder.join("state-000000001-00000/history.json").is_file());
     assert!(!folder.join("model.safetensors").exists());
 }
+
+/// Earlier versions had c1…c5 in the network itself.
+#[test]
+fn a_run_of_an_earlier_version_loads() {
+    let made = Made::new();
+    let device = open_device("flex").unwrap();
+    let config = made.config(&["training.epochs=1", "training.batches_per_epoch=1"]);
+    Learner::start(config.clone(), made.dataset(&config), &device, false).unwrap().train(&mut |_| {}).unwrap();
+    let path = config.run_folder().join("model.safetensors");
+    let bytes = std::fs::read(&path).unwrap();
+    let file = safetensors::SafeTensors::deserialize(&bytes).unwrap();
+    let (_, metadata) = safetensors::SafeTensors::read_metadata(&bytes).unwrap();
+    let renamed: Vec<(String, safetensors::tensor::TensorView)> =
+        file.tensors().into_iter().map(|(name, view)| (name.replace(".convolutions.", "."), view)).collect();
+    assert_eq!(renamed.iter().filter(|(name, _)| name.starts_with("network.c")).count(), 10, "c1…c5");
+    let old = safetensors::serialize(renamed, metadata.metadata().clone()).unwrap();
+    let run = RunFolder::open(&config.run_folder()).unwrap();
+    let manifest = run.manifest().unwrap();
+    let activations = || -> Vec<f32> {
+        let model = run.load_model(&manifest, &device).unwrap();
+        let (height, width) = (manifest.architecture.height, manifest.architecture.width);
+        let [.., c5] = model.network().features(Tensor::ones([1, 6, height, width], &device));
+        c5.into_data().iter().collect()
+    };
+    let expected = activations();
+    std::fs::write(&path, old).unwrap();
+    assert_eq!(activations(), expected);
+}
