@@ -135,7 +135,11 @@ fn observer(quiet: bool) -> impl FnMut(Event) {
             let constants: Vec<String> = constant_loss.iter().flatten().map(|loss| format!("{loss:.3}")).collect();
             let from =
                 if batches_done > 0 { format!(", continuing after mini-batch {batches_done}") } else { String::new() };
-            note(quiet, &format!("{:.1} M weights, {batches} mini-batches an epoch{from}", parameters as f64 / 1e6));
+            let weights = match parameters {
+                0..1_000_000 => format!("{:.1} thousand", parameters as f64 / 1e3),
+                _ => format!("{:.1} M", parameters as f64 / 1e6),
+            };
+            note(quiet, &format!("{weights} weights, {batches} mini-batches an epoch{from}"));
             note(
                 quiet,
                 &format!("evaluation loss of the constant baseline: {} nats (the one to beat)", constants.join(", ")),

@@ -292,6 +292,8 @@ pub(crate) mod tests {
                 times_s: Some([10.0 + 0.1 * source as f64, 10.1 + 0.1 * source as f64]),
                 source_from_target: Pose::exp(&tangent),
                 covariance: Covariance6::from_std_devs(&std_devs).transported(&skewed),
+                posterior: None,
+                no_verdict: None,
             }
         };
         let motions = vec![

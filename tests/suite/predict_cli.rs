@@ -381,6 +381,6 @@ fn a_model_needs_its_configuration_only_for_depth_that_is_not_given() {
     let source_from_target = Pose::identity();
     let (source_image, target_image) = (image.clone(), image);
     let measurement =
-        relcov::Measurement { source_image, target_image, target_depth, camera, source_from_target, right: None };
+        relcov::Measurement { source_image, target_image, target_depth, camera, source_from_target, right: None, camera_from_vehicle: None };
     assert!(model.predict(&measurement).unwrap().is_positive());
 }
