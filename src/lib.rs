@@ -50,7 +50,7 @@ pub mod warp;
 
 pub use error::{Error, Result};
 pub use geometry::Covariance6;
-pub use predict::{Measurement, Model, RightView, Stream, StreamSettings};
+pub use predict::{Judgement, Measurement, Model, RightView, Stream, StreamSettings};
 
 #[doc(hidden)]
 pub mod cli;
