@@ -1,5 +1,5 @@
 //! Corrected measurements from the command line, of a model that predicts the error itself, on a rendered street: the
-//! same in every format and in a stream; nearer to the truth; and where images show nothing.
+//! same in every format, in a stream and in a fused trajectory; nearer to the truth; and where images show nothing.
 
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
@@ -300,5 +300,26 @@ fn pairs_without_a_verdict_are_counted_and_written_as_they_are() {
         let black = as_it_is["source"] == 5 || as_it_is["target"] == 5;
         assert_eq!(as_it_is["verdict"] == "no_texture", black, "{as_it_is}");
         assert_eq!(as_it_is["pose"] == corrected["pose"] && as_it_is["covariance"] == corrected["covariance"], black);
+    }
+}
+
+#[test]
+fn corrected_motions_are_fused_beside_the_measured_ones() {
+    let world = World::get();
+    let output = relcov()
+        .args(["fuse", "--quiet", "--run"])
+        .arg(world.path().join("runs/seen"))
+        .args(["--simulate-fixes", "5,0.02"])
+        .output()
+        .unwrap();
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
+    let rpe = |method: &str| -> f64 {
+        let row = text.lines().find(|line| line.split('|').any(|cell| cell.trim() == method));
+        let row = row.unwrap_or_else(|| panic!("{method}: {text}"));
+        row.split('|').map(str::trim).nth(6).unwrap().trim_end_matches('*').parse().unwrap()
+    };
+    for method in ["relcov", "relcov_uncalibrated", "constant", "constant_full", "constant_mad", "oracle"] {
+        assert!(rpe("relcov_corrected") < rpe(method), "{method}: {text}");
     }
 }
