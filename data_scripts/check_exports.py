@@ -8,8 +8,9 @@
     cargo build --release && uv run data_scripts/check_exports.py
 
 Without uv: pip install numpy scipy gtsam graphslam rosbags evo, then run it with python.
-Renders a short drive, trains a model with full covariances for a moment, predicts in every format, and asks GTSAM,
-a g2o reader (graphslam), ROS' message definitions (rosbags) and evo what they understand. The yardstick is the
+Renders a short drive, trains a model with full covariances and one that predicts the error itself for a moment,
+predicts in every format, measured poses by the one and corrected ones by the other, and asks GTSAM, a g2o reader
+(graphslam), ROS' message definitions (rosbags) and evo what they understand. The yardstick is the
 Mahalanobis distance `eᵀΣ⁻¹e` of a true pose that differs from the measured one by a known e = log(T̂ T⁻¹).
 Exits with 1 and says why when something does not fit.
 """
@@ -31,27 +32,27 @@ from scipy.spatial.transform import Rotation
 
 ROOT = Path(__file__).resolve().parent.parent
 CONFIG = """
-name = "exports"
+name = "{name}"
 checkpoints = "runs"
 device = "flex"
 [data]
 root = "data"
-train = [{ drive = "2026_01_01_drive_0001_sync" }]
-validation = [{ drive = "2026_01_01_drive_0002_sync" }]
-test = [{ drive = "2026_01_01_drive_0003_sync" }]
+train = [{{ drive = "2026_01_01_drive_0001_sync" }}]
+validation = [{{ drive = "2026_01_01_drive_0002_sync" }}]
+test = [{{ drive = "2026_01_01_drive_0003_sync" }}]
 [[systems]]
 name = "vo"
 share = 1.0
 source = "relative"
-path = "measurements/vo/{drive}.csv"
+path = "measurements/vo/{{drive}}.csv"
 frame = "camera2"
 [depth]
 source = "files"
-path = "{date}/{drive}/depth_02/data/{frame}.png"
+path = "{{date}}/{{drive}}/depth_02/data/{{frame}}.png"
 [model]
-width = 64
-height = 32
-head = "full"
+width = {width}
+height = {height}
+{model}
 [training]
 batch = 8
 micro_batch = 8
@@ -59,6 +60,11 @@ learning_rate = 1e-3
 epochs = 2
 batches_per_epoch = 6
 """
+
+RUNS = {
+    "measured": {"width": 64, "height": 32, "model": 'head = "full"'},
+    "corrected": {"width": 128, "height": 64, "model": 'evidence = "alignment"\nnetwork = "none"\nhead = "posterior"'},
+}
 
 failures = 0
 
@@ -97,17 +103,20 @@ def relative(found: float, expected: float) -> float:
 
 
 def prepare(relcov: str, folder: Path) -> None:
-    (folder / "config.toml").write_text(CONFIG)
     synth = ["synth", "--out", str(folder / "data"), "--drives", "3", "--frames", "24", "--size", "128x64"]
-    for arguments in (synth + ["--lidar-steps", "0"], ["train", "--config", str(folder / "config.toml")]):
+    commands = [synth + ["--lidar-steps", "0"]]
+    for name, settings in RUNS.items():
+        (folder / f"{name}.toml").write_text(CONFIG.format(name=name, **settings))
+        commands.append(["train", "--config", str(folder / f"{name}.toml")])
+    for arguments in commands:
         subprocess.run([relcov, *arguments, "--quiet"], check=True, stdout=subprocess.DEVNULL)
 
 
 class Predictions:
-    """The reference: JSON lines, measured poses and left covariances in axes of the vehicle."""
+    """The reference: JSON lines, poses and left covariances in axes of the vehicle; as measured, or corrected."""
 
-    def __init__(self, relcov: str, folder: Path):
-        self.command = [relcov, "predict", "--quiet", "--run", str(folder / "runs/exports"), "--format"]
+    def __init__(self, relcov: str, folder: Path, run: str, *asked: str):
+        self.command = [relcov, "predict", "--quiet", "--run", str(folder / "runs" / run), *asked, "--format"]
         lines = [json.loads(line) for line in self.text("jsonl").splitlines()]
         self.keys = [(line["source"], line["target"]) for line in lines]
         self.poses = [matrix(line["pose"]["translation"], line["pose"]["quaternion_xyzw"]) for line in lines]
@@ -124,6 +133,27 @@ class Predictions:
 
     def text(self, form: str, *options: str) -> str:
         return subprocess.run([*self.command, form, *options], check=True, capture_output=True, text=True).stdout
+
+
+def check_corrections(corrected: Predictions, folder: Path, relcov: str) -> None:
+    """What is corrected is what the lines of the measured poses say beside them, by another exponential map."""
+    both = Predictions(relcov, folder, "corrected")
+    lines = [json.loads(line) for line in both.text("jsonl").splitlines()]
+    worst_pose = worst_moment = worst_right = 0.0
+    right = [json.loads(line) for line in both.text("jsonl", "--perturbation", "right").splitlines()]
+    for index, line in enumerate(lines):
+        mean = np.array(line["correction"])
+        expected = exponential(-mean) @ both.poses[index]
+        worst_pose = max(worst_pose, np.abs(expected - corrected.poses[index]).max())
+        moment = corrected.covariances[index] + np.outer(mean, mean)
+        worst_moment = max(worst_moment, np.abs(moment - both.covariances[index]).max() / np.abs(moment).max())
+        other_side = both.poses[index] @ exponential(-np.array(right[index]["correction"]))
+        worst_right = max(worst_right, np.abs(other_side - corrected.poses[index]).max())
+    verdicts = [line["verdict"] for line in lines]
+    assert "ok" in verdicts, verdicts
+    check("corrected: exp(-μ) T̂ by the matrix exponential", worst_pose, 1e-9)
+    check("corrected: R is C + μ μᵀ", worst_moment, 1e-9)
+    check("corrected: T̂ exp(-μ) with the μ of the right side", worst_right, 1e-9)
 
 
 def check_gtsam(predictions: Predictions) -> None:
@@ -175,7 +205,7 @@ def check_g2o(predictions: Predictions, folder: Path) -> None:
         error = np.concatenate([between[:3, 3], np.sign(quaternion[3]) * quaternion[:3]])
         found = 1e6 * float(error @ edge.information @ error)
         worst = max(worst, relative(found, predictions.distances[index]))
-    check("g2o: measured poses through graphslam's reader", worst_pose, 1e-9)
+    check("g2o: its poses through graphslam's reader", worst_pose, 1e-9)
     check("g2o: its chi² of (t, q_xyz) with the half-angle rule is our distance", worst, 1e-4)
     vertices = [vertex for vertex in Graph.from_g2o(str(path))._vertices]
     check("g2o: a vertex for each frame", abs(len(vertices) - len(edges) - 1), 0)
@@ -299,12 +329,15 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         prepare(arguments.relcov, folder)
-        predictions = Predictions(arguments.relcov, folder)
-        check_gtsam(predictions)
-        check_g2o(predictions, folder)
-        check_ros(predictions)
-        check_trajectories(predictions, folder)
-        check_sides_and_axes(predictions, folder)
+        for poses, asked in (("measured", ()), ("corrected", ("--corrected",))):
+            print(f"{poses} poses")
+            predictions = Predictions(arguments.relcov, folder, poses, *asked)
+            check_gtsam(predictions)
+            check_g2o(predictions, folder)
+            check_ros(predictions)
+            check_trajectories(predictions, folder)
+            check_sides_and_axes(predictions, folder)
+        check_corrections(predictions, folder, arguments.relcov)
     if failures:
         sys.exit(f"{failures} exports do not fit")
     print("every export is understood as it is meant")

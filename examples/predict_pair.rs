@@ -22,6 +22,7 @@ fn main() -> anyhow::Result<()> {
         // The camera moved forward, along its z axis.
         source_from_target: Pose::exp(&Tangent::new(0.0, 0.0, forward_m.parse()?, 0.0, 0.0, 0.0)),
         right: None,
+        camera_from_vehicle: None,
     })?;
     let [x, y, z, roll, pitch, yaw]: [f64; 6] = covariance.std_devs().into();
     println!("one sigma, {} axes:", model.error_frame().name());

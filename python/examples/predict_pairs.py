@@ -59,6 +59,13 @@ wrong = pose(0, 0, 0, np.sin(half), 0, 0, np.cos(half)) @ measured[0, 1]
 worse = model.predict(image(0), image(1), K, wrong, depth(1))
 print(f"\nsigma of pitch with a pose that is pitched by 1.5 degrees: {np.sqrt(worse[4, 4] / covariance[4, 4]):.1f} times as large")
 
+# %% What the images show of the error itself, where the model says it
+judgement = model.judge(image(0), image(1), K, wrong, depth(1))
+if judgement.correction is not None:
+    print(f"\nverdict on the pitched pose: {judgement.verdict}; of its pitch of 1.5 degrees the images show {np.degrees(abs(judgement.correction[4])):.2f}")
+    better = np.sqrt(judgement.corrected_covariance[4, 4])
+    print(f"  without it one sigma of pitch is {better:.1e} rad, for judgement.corrected_pose")
+
 # %% For GTSAM: the right perturbation, rotation before translation
 # The covariance is in axes of the vehicle, so is the pose: X T inv(X).
 X = np.eye(4)

@@ -9,18 +9,25 @@ measurement comes out::
     model = relcov.Model.load("checkpoints/robot")
     covariance = model.predict(image0, image1, K, T)      # 6x6, m and rad
 
+A model that also says what the images show of the error itself gives the measurement without it::
+
+    judgement = model.judge(image0, image1, K, T)
+    judgement.corrected_pose, judgement.corrected_covariance    # exp(-correction) T, and what is left of its error
+
 Conventions, the same as everywhere in relcov:
 
 * order ``x, y, z, roll, pitch, yaw`` (translation before rotation), variances in m² and rad²;
 * the error is ``e = log(T_measured @ inv(T_true))``, a *left* perturbation, in axes of the source frame;
 * ``T = source_from_target``: points of view i+1 into view i, axes of the camera (x right, y down, z forward), metres;
-* the covariance is in axes of ``model.frame``: ``vehicle`` (x forward, y left, z up), ``camera`` or ``world``;
+* covariances, corrections and evidence are in axes of ``model.frame``: ``vehicle`` (x forward, y left, z up), ``camera``
+  or ``world``; a corrected pose is in axes of the camera, as ``T``, whose place it takes;
 * pixel centres lie at integer coordinates.
 """
 
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from typing import Optional, Tuple
 
 import numpy as np
@@ -28,7 +35,50 @@ import numpy as np
 from . import _relcov
 from ._relcov import __version__
 
-__all__ = ["Model", "adjoint", "left_to_right", "change_axes", "__version__"]
+__all__ = ["Model", "Judgement", "Evidence", "adjoint", "left_to_right", "change_axes", "__version__"]
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What direct alignment of the two images found, at the finest level of its pyramid. Without a verdict
+    (:attr:`Judgement.verdict`) its numbers are no evidence."""
+
+    #: ``(6,)`` the estimate of the error ``e = log(T_measured @ inv(T_true))``, m and rad, axes of ``model.frame``.
+    estimate: np.ndarray
+    #: ``(6, 6)`` its information if residuals were independent, 1/m² and 1/rad², the same axes.
+    information: np.ndarray
+    #: Robust standard deviation of the residuals at the measured pose, intensities in 0…1.
+    residual_before: float
+    #: The same after alignment.
+    residual_after: float
+    #: Share of the pixels that have a known depth and lie inside the source image after alignment.
+    valid_share: float
+    #: ``image1 ≈ (1 + gain) image0 + bias`` after alignment, intensities in 0…1.
+    gain: float
+    #: See :attr:`gain`.
+    bias: float
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """All that a model says of a measurement. What a model does not say is ``None``: corrections need one trained with
+    ``model.head = "posterior"``, verdict and evidence one with ``model.evidence = "alignment"``."""
+
+    #: ``(6, 6)`` covariance R of the measurement as it is; what :meth:`Model.predict` returns.
+    covariance: np.ndarray
+    #: ``(6,)`` μ, the part of the error that the images show, m and rad, axes of ``model.frame``; zero without a verdict.
+    correction: Optional[np.ndarray]
+    #: ``(4, 4)`` the measurement without that error, ``source_from_target``, axes of the camera as ``T``, m.
+    corrected_pose: Optional[np.ndarray]
+    #: ``(6, 6)`` covariance C of the corrected measurement, axes of ``model.frame``; ``R = C + μ μᵀ``.
+    corrected_covariance: Optional[np.ndarray]
+    #: ``ok``, or why the images say nothing of the error: ``no_depth``, ``no_overlap``, ``no_texture``, ``diverged``.
+    #: Covariances are then the prior's.
+    verdict: Optional[str]
+    #: The reason in words, where there is no verdict.
+    reason: Optional[str]
+    #: What direct alignment found.
+    evidence: Optional[Evidence]
 
 
 class Model:
@@ -72,6 +122,7 @@ class Model:
         depth: Optional[np.ndarray] = None,
         *,
         right: Optional[Tuple[np.ndarray, np.ndarray, np.ndarray]] = None,
+        camera_from_vehicle: Optional[np.ndarray] = None,
     ) -> np.ndarray:
         """Predicts the covariance of a measured relative pose.
 
@@ -83,9 +134,52 @@ class Model:
             Without one the source that the model was trained with is asked, if it needs nothing but the image: a flat
             road, or a depth network whose scale is known.
         :param right: for stereo models: right source image, right target image, and ``(4, 4)`` ``right_from_left``.
+        :param camera_from_vehicle: for models with evidence in axes of the vehicle: ``(4, 4)`` vehicle axes into those of
+            the camera, m. Without: as on the drives that the model was trained on.
         :returns: ``(6, 6)`` ``float64``; order, side and axes as the module's text says.
         :raises ValueError: a shape, type or value is not as described; the message names the argument.
         """
+        return np.array(self._judge(image0, image1, K, T, depth, right, camera_from_vehicle).covariance)
+
+    def judge(
+        self,
+        image0: np.ndarray,
+        image1: np.ndarray,
+        K: np.ndarray,
+        T: np.ndarray,
+        depth: Optional[np.ndarray] = None,
+        *,
+        right: Optional[Tuple[np.ndarray, np.ndarray, np.ndarray]] = None,
+        camera_from_vehicle: Optional[np.ndarray] = None,
+    ) -> Judgement:
+        """Judges a measured relative pose: its covariance, and where the model says it the error that the images show,
+        the measurement without that error, and the evidence behind both. Parameters and errors as :meth:`predict`."""
+        native = self._judge(image0, image1, K, T, depth, right, camera_from_vehicle)
+
+        def array(numbers: Optional[list]) -> Optional[np.ndarray]:
+            return None if numbers is None else np.array(numbers)
+
+        found = native.evidence
+        evidence = None if found is None else Evidence(
+            estimate=np.array(found.estimate),
+            information=np.array(found.information),
+            residual_before=found.residual_before,
+            residual_after=found.residual_after,
+            valid_share=found.valid_share,
+            gain=found.gain,
+            bias=found.bias,
+        )
+        return Judgement(
+            covariance=np.array(native.covariance),
+            correction=array(native.correction),
+            corrected_pose=array(native.corrected_pose),
+            corrected_covariance=array(native.corrected_covariance),
+            verdict=native.verdict,
+            reason=native.reason,
+            evidence=evidence,
+        )
+
+    def _judge(self, image0, image1, K, T, depth, right, camera_from_vehicle) -> "_relcov.NativeJudgement":
         source, target = _image("image0", image0), _image("image1", image1)
         intrinsics = _matrix("K", K, [(3, 3)])
         if intrinsics[0, 1] != 0.0 or not np.array_equal(intrinsics[2], [0.0, 0.0, 1.0]) or intrinsics[1, 0] != 0.0:
@@ -100,7 +194,7 @@ class Model:
             right_images = (_image("right[0]", right[0]), _image("right[1]", right[1]))
             right_from_left = _pose("right[2]", right[2])
         numbers = (intrinsics[0, 0], intrinsics[1, 1], intrinsics[0, 2], intrinsics[1, 2])
-        rows = self._native.predict(
+        return self._native.judge(
             source,
             target,
             [float(number) for number in numbers],
@@ -108,8 +202,8 @@ class Model:
             None if depth is None else _depth(depth),
             right_images,
             right_from_left,
+            None if camera_from_vehicle is None else _pose("camera_from_vehicle", camera_from_vehicle),
         )
-        return np.array(rows)
 
 
 def adjoint(T: np.ndarray) -> np.ndarray:

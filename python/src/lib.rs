@@ -3,13 +3,13 @@
 
 use std::path::PathBuf;
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, SMatrix, Vector3};
 use pyo3::exceptions::{PyOSError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use relcov::data::RgbImage;
 use relcov::depth::{DepthMap, LiveDepth};
 use relcov::geometry::{Pinhole, Pose};
-use relcov::{Error, Measurement, RightView};
+use relcov::{Error, Judgement, Measurement, RightView};
 
 /// Largest `|RᵀR − I|` of a rotation.
 const ROTATION_TOLERANCE: f64 = 1e-3;
@@ -28,6 +28,62 @@ fn to_python(error: Error) -> PyErr {
 struct NativeModel {
     model: relcov::Model,
     depth: LiveDepth,
+}
+
+/// What a model says of a measurement; matrices as rows.
+#[pyclass(frozen, get_all, module = "relcov._relcov")]
+struct NativeJudgement {
+    covariance: Vec<Vec<f64>>,
+    correction: Option<Vec<f64>>,
+    corrected_pose: Option<Vec<Vec<f64>>>,
+    corrected_covariance: Option<Vec<Vec<f64>>>,
+    verdict: Option<&'static str>,
+    reason: Option<&'static str>,
+    evidence: Option<Py<NativeEvidence>>,
+}
+
+/// What direct alignment found at the finest level of its pyramid.
+#[pyclass(frozen, get_all, module = "relcov._relcov")]
+struct NativeEvidence {
+    estimate: Vec<f64>,
+    information: Vec<Vec<f64>>,
+    residual_before: f64,
+    residual_after: f64,
+    valid_share: f64,
+    gain: f64,
+    bias: f64,
+}
+
+impl NativeJudgement {
+    fn new(py: Python<'_>, judgement: &Judgement) -> PyResult<Self> {
+        let evidence = judgement.evidence.as_ref().map(|evidence| {
+            let finest = evidence.finest();
+            let evidence = NativeEvidence {
+                estimate: finest.error.iter().copied().collect(),
+                information: rows(&finest.information),
+                residual_before: finest.residual_before,
+                residual_after: finest.residual_after,
+                valid_share: finest.valid_share,
+                gain: evidence.gain,
+                bias: evidence.bias,
+            };
+            Py::new(py, evidence)
+        });
+        let verdict = judgement.verdict();
+        Ok(Self {
+            covariance: rows(judgement.covariance.matrix()),
+            correction: judgement.posterior.map(|posterior| posterior.mean.iter().copied().collect()),
+            corrected_pose: judgement.corrected_source_from_target.map(|pose| rows(&pose.matrix())),
+            corrected_covariance: judgement.posterior.map(|posterior| rows(posterior.covariance.matrix())),
+            verdict: verdict.map(|verdict| verdict.name()),
+            reason: verdict.and_then(|verdict| verdict.reason()),
+            evidence: evidence.transpose()?,
+        })
+    }
+}
+
+fn rows<const N: usize>(matrix: &SMatrix<f64, N, N>) -> Vec<Vec<f64>> {
+    matrix.row_iter().map(|row| row.iter().copied().collect()).collect()
 }
 
 /// Height, width and `3 * height * width` bytes.
@@ -82,9 +138,9 @@ impl NativeModel {
         self.model.architecture().stereo
     }
 
-    /// Rows of the covariance.
+    /// All that the model says of a measurement.
     #[allow(clippy::too_many_arguments, reason = "what the Python side hands over")]
-    fn predict(
+    fn judge(
         &self,
         py: Python<'_>,
         source_image: Image,
@@ -94,7 +150,8 @@ impl NativeModel {
         depth: Option<Depth>,
         right_images: Option<(Image, Image)>,
         right_from_left: Option<[f64; 16]>,
-    ) -> PyResult<Vec<Vec<f64>>> {
+        camera_from_vehicle: Option<[f64; 16]>,
+    ) -> PyResult<NativeJudgement> {
         let (height, width) = (target_image.0, target_image.1);
         let [fx, fy, cx, cy] = intrinsics;
         let camera = Pinhole { fx, fy, cx, cy, width, height };
@@ -108,26 +165,35 @@ impl NativeModel {
             }),
             _ => None,
         };
+        let camera_from_vehicle = camera_from_vehicle.map(|rows| pose("camera_from_vehicle", rows)).transpose()?;
         let given = depth.map(|(height, width, bytes)| {
             let depth_m = bytes.chunks_exact(4).map(|four| f32::from_le_bytes(four.try_into().expect("four bytes")));
             DepthMap { width, height, depth_m: depth_m.collect() }
         });
-        let predict = || {
+        let judge = || {
             let target_depth = match given {
                 Some(depth) => depth,
                 None => self.depth.estimate(&target_image, &camera)?,
             };
-            let measurement =
-                Measurement { source_image, target_image, target_depth, camera, source_from_target, right };
-            self.model.predict(&measurement)
+            self.model.judge(&Measurement {
+                source_image,
+                target_image,
+                target_depth,
+                camera,
+                source_from_target,
+                right,
+                camera_from_vehicle,
+            })
         };
-        let covariance = py.detach(predict).map_err(to_python)?;
-        Ok(covariance.matrix().row_iter().map(|row| row.iter().copied().collect()).collect())
+        let judgement = py.detach(judge).map_err(to_python)?;
+        NativeJudgement::new(py, &judgement)
     }
 }
 
 #[pymodule]
 fn _relcov(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
-    module.add_class::<NativeModel>()
+    module.add_class::<NativeModel>()?;
+    module.add_class::<NativeJudgement>()?;
+    module.add_class::<NativeEvidence>()
 }

@@ -38,7 +38,7 @@ source = "{depth}"
 [model]
 width = 64
 height = 32
-head = "full"
+{model}
 [training]
 batch = 8
 micro_batch = 8
@@ -62,13 +62,19 @@ def command(*arguments: str) -> str:
 
 @pytest.fixture(scope="module")
 def world(tmp_path_factory):
-    """A rendered data set, and a run for each of two sources of depth."""
+    """A rendered data set; a run for each of two sources of depth, and one that predicts the error itself."""
     folder = tmp_path_factory.mktemp("world")
     command("synth", "--out", str(folder / "data"), "--drives", "3", "--frames", "10", "--size", "128x64", "--lidar-steps", "0")
-    for depth, path in (("files", 'path = "{date}/{drive}/depth_02/data/{frame}.png"'), ("ground_plane", "horizon_px = 30.5")):
-        config = folder / f"{depth}.toml"
-        config.write_text(CONFIG.format(depth=depth, path=path))
-        command("train", "--quiet", "--config", str(config), "--set", f"name={depth}")
+    files = 'path = "{date}/{drive}/depth_02/data/{frame}.png"'
+    posterior = 'evidence = "alignment"\nnetwork = "none"\nhead = "posterior"'
+    for name, depth, path, model in (
+        ("files", "files", files, 'head = "full"'),
+        ("ground_plane", "ground_plane", "horizon_px = 30.5", 'head = "full"'),
+        ("posterior", "files", files, posterior),
+    ):
+        config = folder / f"{name}.toml"
+        config.write_text(CONFIG.format(depth=depth, path=path, model=model))
+        command("train", "--quiet", "--config", str(config), "--set", f"name={name}")
     return folder
 
 
@@ -82,15 +88,15 @@ def predicted(folder: Path, run: str, *options: str):
     return [json.loads(line) for line in command("predict", "--quiet", "--run", str(folder / "runs" / run), *options).splitlines()]
 
 
-def pose(line: dict) -> np.ndarray:
-    x, y, z, w = line["pose"]["quaternion_xyzw"]
+def pose(line: dict, field: str = "pose") -> np.ndarray:
+    x, y, z, w = line[field]["quaternion_xyzw"]
     T = np.eye(4)
     T[:3, :3] = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
         [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
         [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
     ]
-    T[:3, 3] = line["pose"]["translation"]
+    T[:3, 3] = line[field]["translation"]
     return T
 
 
@@ -120,6 +126,77 @@ def test_numbers_are_those_of_the_command_line(world, run):
         assert np.abs((covariance - expected) / scale).max() < 1e-6
 
 
+def test_judgements_are_those_of_the_command_line(world):
+    model = relcov.Model.load(world / "runs/posterior", device="flex")
+    K = intrinsics(world)
+    verdicts = []
+    for line, in_camera in zip(predicted(world, "posterior"), predicted(world, "posterior", "--frame", "camera")):
+        frames = line["source"], line["target"]
+        arguments = *(image(world, frame) for frame in frames), K, pose(in_camera), depth(world, frames[1])
+        judgement = model.judge(*arguments)
+        np.testing.assert_array_equal(model.predict(*arguments), judgement.covariance)
+        verdicts.append(judgement.verdict)
+        assert (judgement.verdict, judgement.reason) == (line["verdict"], line.get("reason"))
+        for found, field in (
+            (judgement.covariance, "covariance"),
+            (judgement.correction, "correction"),
+            (judgement.corrected_covariance, "corrected_covariance"),
+        ):
+            expected = np.array(line[field])
+            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6 * np.abs(expected).max())
+        np.testing.assert_allclose(judgement.corrected_pose, pose(in_camera, "corrected_pose"), rtol=0, atol=1e-9)
+        evidence = judgement.evidence
+        assert (evidence.estimate.shape, evidence.information.shape) == ((6,), (6, 6))
+        if judgement.verdict == "ok":
+            assert 0 < evidence.residual_after <= 1.3 * evidence.residual_before and 0 < evidence.valid_share <= 1
+            assert np.isfinite([evidence.gain, evidence.bias]).all()
+    assert "ok" in verdicts
+
+
+def test_the_place_of_the_vehicle_moves_the_correction_and_not_the_corrected_pose(world):
+    model = relcov.Model.load(world / "runs/posterior", device="flex")
+    in_camera = predicted(world, "posterior", "--frame", "camera")[0]
+    arguments = image(world, 0), image(world, 1), intrinsics(world), pose(in_camera), depth(world, 1)
+    # A vehicle whose axes are those of the camera.
+    judgement = model.judge(*arguments, camera_from_vehicle=np.eye(4))
+    assert judgement.verdict == "ok"
+    generator = judgement.correction
+    assert np.linalg.norm(generator) > 0
+    assert np.abs(generator - model.judge(*arguments).correction).max() > 0
+    # exp(-μ) T to first order, in axes of the camera.
+    x, y, z = generator[3:]
+    step = np.eye(4)
+    step[:3] -= np.column_stack([[[0, -z, y], [z, 0, -x], [-y, x, 0]], generator[:3]])
+    np.testing.assert_allclose(judgement.corrected_pose, step @ pose(in_camera), rtol=0, atol=10 * np.linalg.norm(generator) ** 2)
+
+
+def test_images_that_show_nothing_are_answered(world):
+    model = relcov.Model.load(world / "runs/posterior", device="flex")
+    T = pose(predicted(world, "posterior", "--frame", "camera")[0])
+    black = np.zeros_like(image(world, 0))
+    far = T.copy()
+    far[2, 3] = -1000
+    for images, pose_of, map_of_target, verdict in [
+        ((image(world, 0), image(world, 1)), T, np.zeros((8, 8), dtype=np.float32), "no_depth"),
+        ((black, black), T, depth(world, 1), "no_texture"),
+        ((image(world, 0), image(world, 1)), far, depth(world, 1), "no_overlap"),
+    ]:
+        judgement = model.judge(*images, intrinsics(world), pose_of, map_of_target)
+        assert judgement.verdict == verdict and judgement.reason
+        assert not judgement.correction.any()
+        np.testing.assert_array_equal(judgement.covariance, judgement.corrected_covariance)
+        np.testing.assert_allclose(judgement.corrected_pose, pose_of, rtol=0, atol=1e-12)
+        assert np.linalg.eigvalsh(judgement.covariance).min() > 0
+
+
+def test_a_model_without_evidence_says_nothing_of_corrections(world):
+    model = relcov.Model.load(world / "runs/files", device="flex")
+    judgement = model.judge(image(world, 0), image(world, 1), intrinsics(world), np.eye(4), depth(world, 1))
+    assert judgement.covariance.shape == (6, 6)
+    rest = judgement.correction, judgement.corrected_pose, judgement.corrected_covariance
+    assert all(value is None for value in (*rest, judgement.verdict, judgement.reason, judgement.evidence))
+
+
 def test_conventions_are_those_of_the_command_line(world):
     for line, right in zip(predicted(world, "files"), predicted(world, "files", "--perturbation", "right")):
         found = relcov.left_to_right(np.array(line["covariance"]), pose(line))
@@ -142,6 +219,7 @@ def test_what_is_wrong_is_named(world):
         (dict(depth=-good["depth"]), "depth: found infinite or negative"),
         (dict(depth=(256 * good["depth"]).astype(np.uint16)), "depth: found uint16"),
         (dict(K=good["K"] + 1j), "K: found complex"),
+        (dict(camera_from_vehicle=np.ones((4, 4))), "camera_from_vehicle: found"),
         (dict(right=(good["image0"], good["image1"])), "right: this model looks at one camera"),
         (dict(depth=np.zeros((3, 3))), "not one pixel"),
         (dict(depth=None), "no depth was given"),

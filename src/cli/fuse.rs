@@ -39,7 +39,8 @@ const MOST_DRAWN: usize = 4;
 
 --odometry reads relative poses with their covariances (the csv of `relcov predict`, or any program's:
 source,target,x,y,z,qx,qy,qz,qw and 36 values). --run and --baselines-only fuse the systems of a configuration's
-test drives, once with each way to give them covariances, and score all of them against the truth.
+test drives, once with each way to give them covariances, and score all of them against the truth; models with
+model.head = posterior also correct the measurements by the errors that the images show (relcov_corrected).
 Fixes are CSV: frame,x,y,z,std_x,std_y,std_z, and for whole poses qx,qy,qz,qw,std_roll,std_pitch,std_yaw.
 How it works and what it is worth: docs/fusion.md.")]
 pub struct FuseArguments {

@@ -3,6 +3,7 @@
 mod inputs;
 mod sink;
 mod stream;
+mod verdicts;
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -16,12 +17,14 @@ use crate::data::{Dataset, PairScope, Split, SplitName};
 use crate::depth::{DepthCache, DepthEstimator, Present, precompute};
 use crate::device::{device_name, open_device};
 use crate::error::{Error, Result};
-use crate::export::{ExportOptions, Format, G2oRotation, Perturbation, TrajectoryCovariance};
+use crate::export::{ExportOptions, Format, G2oRotation, Perturbation, Poses, TrajectoryCovariance};
+use crate::network::Head;
 use crate::predict::Model;
-use crate::training::RunFolder;
+use crate::training::{Manifest, RunFolder};
 use inputs::{lenient, of_drive, of_manifest, with_system};
 use sink::Sink;
 use stream::stream;
+use verdicts::describe_verdicts;
 
 /// Arguments of `relcov predict`.
 #[derive(Args)]
@@ -31,9 +34,12 @@ use stream::stream;
   relcov predict --run checkpoints/robot --manifest pairs.csv --format g2o --out 'graphs/{drive}.g2o'
   relcov predict --run checkpoints/robot --manifest pairs.csv --format ros --floor 1e-6 --frame camera
   relcov predict --run checkpoints/synthetic --out 'predictions/{system}/{drive}.csv'
+  relcov predict --run checkpoints/robot --manifest pairs.csv --corrected --format gtsam --out '{drive}.csv'
   robot | relcov predict --run checkpoints/robot --stream | filter
 
 Without --drive, --manifest, --config or --stream: the measurements of the run's own configuration.
+Models with model.head = posterior say what the images show of the error itself, mean μ and covariance C of the rest:
+jsonl and --stream give both beside the measurement, --corrected writes exp(-μ) T with C in any format.
 Formats, their order, side and units, and the fields of a stream: docs/predict.md.")]
 pub struct PredictArguments {
     /// Run folder of a trained model
@@ -75,6 +81,10 @@ pub struct PredictArguments {
     /// Write to a file instead of stdout; {system} and {drive} stand for their names
     #[arg(long, value_name = "FILE", conflicts_with = "stream")]
     out: Option<PathBuf>,
+    /// Write corrected measurements, without the error that the images show and with the covariance of what is left; those
+    /// without a verdict as they are. For models with model.head = "posterior"
+    #[arg(long)]
+    corrected: bool,
     /// Axes of poses and covariances [default: camera for kitti, else the model's]
     #[arg(long, value_enum, value_name = "AXES")]
     frame: Option<FrameArgument>,
@@ -138,11 +148,27 @@ fn parse_pose(text: &str) -> Result<PoseNumbers, String> {
 impl PredictArguments {
     fn options(&self) -> ExportOptions {
         ExportOptions {
+            poses: self.poses(),
             perturbation: self.perturbation,
             floor: self.floor,
             trajectory: self.covariance,
             g2o_rotation: self.g2o_rotation,
         }
+    }
+
+    fn poses(&self) -> Poses {
+        if self.corrected { Poses::Corrected } else { Poses::Measured }
+    }
+
+    /// Whether the model can do what is asked for, before any work.
+    fn check_model(&self, manifest: &Manifest) -> Result<()> {
+        if self.corrected && manifest.architecture.head != Head::Posterior {
+            return Err(Error::Data(format!(
+                "--corrected: the model of {} does not predict the error itself; train one with model.evidence = \"alignment\" and model.head = \"posterior\", or leave --corrected out",
+                self.run.display()
+            )));
+        }
+        Ok(())
     }
 
     fn changes(&self, key: &str) -> bool {
@@ -155,6 +181,7 @@ pub fn run(arguments: &PredictArguments, terminal: &Terminal) -> anyhow::Result<
     arguments.overrides.refuse_model_keys()?;
     let run = RunFolder::open(&arguments.run)?;
     let manifest = run.manifest()?;
+    arguments.check_model(&manifest)?;
     let other_data = arguments.stream || arguments.drive.is_some() || arguments.manifest.is_some();
     let config = match other_data {
         true => arguments.overrides.load_for_other_data(&run, &manifest)?,
@@ -198,7 +225,8 @@ pub fn run(arguments: &PredictArguments, terminal: &Terminal) -> anyhow::Result<
     }
     sink.write(&predicted, terminal)?;
     let rate = count as f64 / begin.elapsed().as_secs_f64();
-    note(terminal.quiet, &format!("{count} covariances, {rate:.1} a second{}", describe_gaps(&dataset, pairs, count)));
+    let (gaps, verdicts) = (describe_gaps(&dataset, pairs, count), describe_verdicts(&predicted, arguments.poses()));
+    note(terminal.quiet, &format!("{count} covariances, {rate:.1} a second{gaps}{verdicts}"));
     Ok(())
 }
 

@@ -1,18 +1,19 @@
 //! Relative poses as `relcov` itself reads them: `source,target,x,y,z,qx,qy,qz,qw` and 36 values, row by row.
 
-use super::{MeasuredMotions, Perturbation, join, pose_numbers, rows};
+use super::{ExportOptions, MeasuredMotions, Perturbation, join, pose_numbers, rows};
 use crate::systems::{RIGHT, relative_pose_header};
 
-pub(super) fn render(measured: &MeasuredMotions, side: Option<Perturbation>, floor: Option<[f64; 2]>) -> String {
-    let side = side.unwrap_or(Perturbation::Left);
+pub(super) fn render(measured: &MeasuredMotions, options: &ExportOptions) -> String {
+    let side = options.side();
     let stated = if side == Perturbation::Right { RIGHT } else { "perturbation left" };
     let mut text = format!(
-        "# frame {}, {stated}, order x y z roll pitch yaw, m and rad\n{}",
+        "# frame {}, {stated}, order x y z roll pitch yaw, m and rad{}\n{}",
         measured.frame.name(),
+        options.remark(),
         relative_pose_header()
     );
     for motion in &measured.motions {
-        let covariance = motion.covariance_on(side, floor);
+        let covariance = motion.covariance_on(side, options.floor);
         let numbers = pose_numbers(&motion.source_from_target).into_iter().chain(rows(covariance.matrix()));
         text += &format!("{},{},{}\n", motion.source, motion.target, join(numbers, ","));
     }
@@ -31,7 +32,8 @@ mod tests {
     fn both_sides_come_back_as_left() {
         let measured = measured();
         for side in [None, Some(Perturbation::Left), Some(Perturbation::Right)] {
-            let poses = parse_relative_poses(&render(&measured, side, None), Path::new("p.csv")).unwrap();
+            let options = ExportOptions { perturbation: side, ..ExportOptions::default() };
+            let poses = parse_relative_poses(&render(&measured, &options), Path::new("p.csv")).unwrap();
             for (pose, motion) in poses.iter().zip(&measured.motions) {
                 assert_eq!((pose.source, pose.target), (motion.source, motion.target));
                 let difference = pose.covariance.unwrap().matrix() - motion.covariance.matrix();

@@ -2,8 +2,8 @@
 
 use serde::Serialize;
 
-use super::{MeasuredMotion, MeasuredMotions, Perturbation, pose_numbers};
-use crate::geometry::{Conventions, Covariance6};
+use super::{ExportOptions, MeasuredMotion, MeasuredMotions, Perturbation, Poses, Verdict, on_side, pose_numbers};
+use crate::geometry::{Conventions, Covariance6, Pose, Posterior};
 
 /// A pose in JSON.
 #[derive(Serialize)]
@@ -13,33 +13,73 @@ pub(crate) struct JsonPose {
 }
 
 impl JsonPose {
-    pub(crate) fn new(pose: &crate::geometry::Pose) -> Self {
+    pub(crate) fn new(pose: &Pose) -> Self {
         let [x, y, z, quaternion @ ..] = pose_numbers(pose);
         Self { translation: [x, y, z], quaternion_xyzw: quaternion }
     }
 }
 
-/// A covariance in JSON, with its conventions.
+/// What is said of a measurement's error in JSON, with its conventions.
 #[derive(Serialize)]
-pub(crate) struct JsonCovariance<'a> {
+pub(crate) struct JsonJudgement<'a> {
     frame: &'a str,
     perturbation: &'static str,
     order: [&'static str; 6],
     covariance: [[f64; 6]; 6],
     std_devs: [f64; 6],
+    #[serde(flatten)]
+    correction: Option<JsonCorrection>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    verdict: Option<&'static str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    reason: Option<&'static str>,
 }
 
-impl<'a> JsonCovariance<'a> {
-    pub(crate) fn new(frame: &'a str, side: Perturbation, covariance: &Covariance6) -> Self {
-        let matrix = covariance.matrix();
+/// The part of the error that the images show, and the measurement without it.
+#[derive(Serialize)]
+struct JsonCorrection {
+    correction: [f64; 6],
+    corrected_pose: JsonPose,
+    corrected_covariance: [[f64; 6]; 6],
+}
+
+impl<'a> JsonJudgement<'a> {
+    /// What is said of a motion in axes of `frame`, on the asked side, both covariances lifted to the floor.
+    pub(crate) fn new(frame: &'a str, motion: &MeasuredMotion, side: Perturbation, floor: Option<[f64; 2]>) -> Self {
+        let covariance = motion.covariance_on(side, floor);
+        let measured = &motion.source_from_target;
         Self {
             frame,
             perturbation: side.name(),
             order: Conventions::COMPONENTS,
-            covariance: std::array::from_fn(|row| std::array::from_fn(|column| matrix[(row, column)])),
+            covariance: entries(&covariance),
             std_devs: covariance.std_devs().into(),
+            correction: motion.posterior.map(|posterior| JsonCorrection::new(&posterior, measured, side, floor)),
+            verdict: motion.verdict.map(Verdict::name),
+            reason: motion.verdict.and_then(Verdict::reason),
         }
     }
+}
+
+impl JsonCorrection {
+    /// μ on the asked side: `exp(−μ) T̂ = T̂ exp(−Ad_{T̂⁻¹} μ)`. Each covariance moves with its own pose.
+    fn new(posterior: &Posterior, measured: &Pose, side: Perturbation, floor: Option<[f64; 2]>) -> Self {
+        let corrected = posterior.correct(measured);
+        let mean = match side {
+            Perturbation::Left => posterior.mean,
+            Perturbation::Right => measured.inverse().adjoint() * posterior.mean,
+        };
+        Self {
+            correction: mean.into(),
+            corrected_pose: JsonPose::new(&corrected),
+            corrected_covariance: entries(&on_side(&posterior.covariance, &corrected, side, floor)),
+        }
+    }
+}
+
+/// The matrix, row by row.
+fn entries(covariance: &Covariance6) -> [[f64; 6]; 6] {
+    std::array::from_fn(|row| std::array::from_fn(|column| covariance.matrix()[(row, column)]))
 }
 
 #[derive(Serialize)]
@@ -50,13 +90,14 @@ struct Line<'a> {
     target: usize,
     #[serde(skip_serializing_if = "Option::is_none")]
     times: Option<[f64; 2]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    corrected: Option<bool>,
     pose: JsonPose,
     #[serde(flatten)]
-    covariance: JsonCovariance<'a>,
+    judgement: JsonJudgement<'a>,
 }
 
-pub(super) fn render(measured: &MeasuredMotions, side: Option<Perturbation>, floor: Option<[f64; 2]>) -> String {
-    let side = side.unwrap_or(Perturbation::Left);
+pub(super) fn render(measured: &MeasuredMotions, options: &ExportOptions) -> String {
     let line = |motion: &MeasuredMotion| {
         let line = Line {
             system: &measured.system,
@@ -64,10 +105,82 @@ pub(super) fn render(measured: &MeasuredMotions, side: Option<Perturbation>, flo
             source: motion.source,
             target: motion.target,
             times: motion.times_s,
+            corrected: (options.poses == Poses::Corrected).then_some(true),
             pose: JsonPose::new(&motion.source_from_target),
-            covariance: JsonCovariance::new(measured.frame.name(), side, &motion.covariance_on(side, floor)),
+            judgement: JsonJudgement::new(measured.frame.name(), motion, options.side(), options.floor),
         };
         serde_json::to_string(&line).expect("numbers and names are JSON") + "\n"
     };
     measured.motions.iter().map(line).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Matrix6;
+    use serde_json::Value;
+
+    use super::super::tests::{measured, seen};
+    use super::*;
+    use crate::geometry::Tangent;
+
+    fn first_line(measured: &MeasuredMotions, options: &ExportOptions) -> Value {
+        serde_json::from_str(render(measured, options).lines().next().unwrap()).unwrap()
+    }
+
+    fn matrix(line: &Value, field: &str) -> Matrix6<f64> {
+        let rows: Vec<Vec<f64>> = serde_json::from_value(line[field].clone()).unwrap();
+        Matrix6::from_row_slice(&rows.concat())
+    }
+
+    #[test]
+    fn a_line_of_a_model_without_evidence_says_nothing_of_corrections() {
+        let line = first_line(&measured(), &ExportOptions::default());
+        let names: Vec<&str> = line.as_object().unwrap().keys().map(String::as_str).collect();
+        assert_eq!(names.len(), 11, "{names:?}");
+        for new in ["corrected", "correction", "corrected_pose", "corrected_covariance", "verdict", "reason"] {
+            assert!(!names.contains(&new), "{names:?}");
+        }
+    }
+
+    #[test]
+    fn measurement_and_correction_stand_on_the_same_side() {
+        let motion = &seen().motions[0];
+        let corrected = motion.corrected().unwrap();
+        for side in [Perturbation::Left, Perturbation::Right] {
+            let floor = Some([0.0, 1e-3]);
+            let options = ExportOptions { perturbation: Some(side), floor, ..ExportOptions::default() };
+            let line = first_line(&seen(), &options);
+            assert_eq!((line["verdict"].as_str(), line.get("reason")), (Some("ok"), None));
+            let correction: [f64; 6] = serde_json::from_value(line["correction"].clone()).unwrap();
+            let step = Pose::exp(&-Tangent::from(correction));
+            let pose = match side {
+                Perturbation::Left => step * motion.source_from_target,
+                Perturbation::Right => motion.source_from_target * step,
+            };
+            assert!((pose.matrix() - corrected.source_from_target.matrix()).norm() < 1e-14);
+            let stated: Vec<f64> = serde_json::from_value(line["corrected_pose"]["translation"].clone()).unwrap();
+            assert!((pose.translation - nalgebra::Vector3::from_vec(stated)).norm() < 1e-14);
+            assert_eq!(matrix(&line, "covariance"), *motion.covariance_on(side, floor).matrix());
+            assert_eq!(matrix(&line, "corrected_covariance"), *corrected.covariance_on(side, floor).matrix());
+            let asked = ExportOptions { poses: Poses::Corrected, ..options };
+            let alone: Value = serde_json::from_str(
+                super::super::Format::Jsonl.render(&seen(), &asked).unwrap().lines().next().unwrap(),
+            )
+            .unwrap();
+            assert_eq!(
+                (&alone["pose"], &alone["covariance"]),
+                (&line["corrected_pose"], &line["corrected_covariance"])
+            );
+            assert_eq!((alone["corrected"].as_bool(), alone.get("correction")), (Some(true), None));
+        }
+    }
+
+    #[test]
+    fn a_line_without_a_verdict_says_why() {
+        let mut measured = seen();
+        measured.motions[0].verdict = Some(Verdict::of(Some(crate::alignment::NoVerdict::NoDepth)));
+        let line = first_line(&measured, &ExportOptions::default());
+        assert_eq!(line["verdict"], "no_depth");
+        assert_eq!(line["reason"], "the depth of too few pixels is known");
+    }
 }

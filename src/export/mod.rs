@@ -12,6 +12,7 @@
 //! | `gtsam` | a `BetweenFactorPose3`: keys, pose and 36 values | **φ, ρ**, right |
 //! | `ros` | a `geometry_msgs/PoseWithCovarianceStamped` as JSON (which is YAML) | position, then fixed axes |
 //!
+//! Each of them writes the measurements as they are, or corrected by what the images show of their errors ([`Poses`]).
 //! Leaves the choice of axes to its caller and writing files to `cli`.
 
 mod chain;
@@ -19,52 +20,20 @@ mod csv;
 mod g2o;
 mod gtsam;
 mod jsonl;
+mod motion;
 mod ros;
 mod trajectory;
 
 use clap::ValueEnum;
 use nalgebra::{Matrix6, UnitQuaternion};
 
-use crate::alignment::NoVerdict;
 use crate::error::{Error, Result};
-use crate::geometry::{Covariance6, ErrorFrame, Pose, Posterior, ROTATION, TRANSLATION};
+use crate::geometry::{Covariance6, ErrorFrame, Pose, ROTATION, TRANSLATION};
 
 pub use chain::Chain;
-pub(crate) use jsonl::JsonCovariance;
+pub(crate) use jsonl::{JsonJudgement, JsonPose};
+pub use motion::{MeasuredMotion, MeasuredMotions, Verdict};
 pub use trajectory::fused_trajectory;
-
-/// One system's measurements on one drive.
-#[derive(Clone, Debug, PartialEq)]
-pub struct MeasuredMotions {
-    /// Name of the system.
-    pub system: String,
-    /// Name of the drive.
-    pub drive: String,
-    /// Axes of poses and covariances. Those of the world turn with the vehicle, from motion to motion.
-    pub frame: ErrorFrame,
-    /// The measurements, in the order of their frames.
-    pub motions: Vec<MeasuredMotion>,
-}
-
-/// A relative pose with its covariance.
-#[derive(Clone, Debug, PartialEq)]
-pub struct MeasuredMotion {
-    /// Frame i.
-    pub source: usize,
-    /// Frame i + 1.
-    pub target: usize,
-    /// Their times, s, where they are known.
-    pub times_s: Option<[f64; 2]>,
-    /// Measured `ⁱT̂ᵢ₊₁`, m.
-    pub source_from_target: Pose,
-    /// Covariance of `log(T̂ T⁻¹)`, left, order ρ then φ, m² and rad², the same axes.
-    pub covariance: Covariance6,
-    /// What is known of that error itself, the same axes; `None` of a model that does not say, and of a motion that was
-    /// corrected.
-    pub posterior: Option<Posterior>,
-    /// Why the images say nothing of this error, where they do not.
-    pub no_verdict: Option<NoVerdict>,
-}
 
 /// Form of the output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -126,9 +95,21 @@ pub enum G2oRotation {
     Angle,
 }
 
+/// Which poses are written, each with the covariance of its own error.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Poses {
+    /// T̂ as it was measured, with R
+    #[default]
+    Measured,
+    /// `exp(−μ) T̂`, without the error that the images show, with C
+    Corrected,
+}
+
 /// Choices of an export.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct ExportOptions {
+    /// Measured or corrected poses; corrected ones need motions that know their [`MeasuredMotion::posterior`].
+    pub poses: Poses,
     /// Side of the covariance; `None`: that of the format, left where it takes both.
     pub perturbation: Option<Perturbation>,
     /// Least variance on the diagonal, m² and rad²; `None`: [`ROS_FLOOR`] for `ros`, nothing for the others.
@@ -216,28 +197,45 @@ impl Format {
     /// The measurements in this format.
     ///
     /// # Errors
-    /// The options do not fit the format ([`Format::check`]); a trajectory is asked for and frames are missing; or a
-    /// covariance has no inverse where the format needs one.
+    /// The options do not fit the format ([`Format::check`]); corrected poses are asked for and nothing is known of an
+    /// error itself; a trajectory is asked for and frames are missing; or a covariance has no inverse where the format
+    /// needs one.
     pub fn render(self, measured: &MeasuredMotions, options: &ExportOptions) -> Result<String> {
         self.check(options)?;
         self.check_frame(measured.frame)?;
-        let floor = options.floor.or((self == Self::Ros).then_some(ROS_FLOOR));
+        let corrected;
+        let measured = match options.poses {
+            Poses::Measured => measured,
+            Poses::Corrected => {
+                corrected = measured.corrected()?;
+                &corrected
+            }
+        };
+        let options = &ExportOptions { floor: options.floor.or((self == Self::Ros).then_some(ROS_FLOOR)), ..*options };
         match self {
-            Self::Csv => Ok(csv::render(measured, options.perturbation, floor)),
-            Self::Jsonl => Ok(jsonl::render(measured, options.perturbation, floor)),
-            Self::Tum => trajectory::render_tum(measured, options, floor),
-            Self::Kitti => trajectory::render_kitti(measured, options, floor),
-            Self::G2o => g2o::render(measured, options.g2o_rotation, floor),
-            Self::Gtsam => Ok(gtsam::render(measured, floor)),
-            Self::Ros => Ok(ros::render(measured, floor)),
+            Self::Csv => Ok(csv::render(measured, options)),
+            Self::Jsonl => Ok(jsonl::render(measured, options)),
+            Self::Tum => trajectory::render_tum(measured, options),
+            Self::Kitti => trajectory::render_kitti(measured, options),
+            Self::G2o => g2o::render(measured, options.g2o_rotation, options.floor),
+            Self::Gtsam => Ok(gtsam::render(measured, options.floor)),
+            Self::Ros => Ok(ros::render(measured, options.floor)),
         }
     }
 }
 
-impl MeasuredMotion {
-    /// The covariance on the asked side, its diagonal lifted to the floor.
-    fn covariance_on(&self, side: Perturbation, floor: Option<[f64; 2]>) -> Covariance6 {
-        on_side(&self.covariance, &self.source_from_target, side, floor)
+impl ExportOptions {
+    /// The side of covariances in formats that take both.
+    fn side(&self) -> Perturbation {
+        self.perturbation.unwrap_or(Perturbation::Left)
+    }
+
+    /// What the remarks of a file say of poses that are not the measured ones.
+    fn remark(&self) -> &'static str {
+        match self.poses {
+            Poses::Measured => "",
+            Poses::Corrected => ", corrected by the error that the images show",
+        }
     }
 }
 
@@ -279,7 +277,7 @@ fn join(numbers: impl IntoIterator<Item = f64>, separator: &str) -> String {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::geometry::Tangent;
+    use crate::geometry::{Posterior, Tangent};
 
     /// Two motions with full covariances.
     pub(crate) fn measured() -> MeasuredMotions {
@@ -293,7 +291,7 @@ pub(crate) mod tests {
                 source_from_target: Pose::exp(&tangent),
                 covariance: Covariance6::from_std_devs(&std_devs).transported(&skewed),
                 posterior: None,
-                no_verdict: None,
+                verdict: None,
             }
         };
         let motions = vec![
@@ -301,6 +299,34 @@ pub(crate) mod tests {
             motion(5, Tangent::new(1.0, -0.03, 0.02, -0.01, 0.02, -0.2)),
         ];
         MeasuredMotions { system: "vo".to_owned(), drive: "drive".to_owned(), frame: ErrorFrame::Vehicle, motions }
+    }
+
+    /// The same, of which the images show a part of the error.
+    pub(crate) fn seen() -> MeasuredMotions {
+        let mut seen = measured();
+        for (motion, share) in seen.motions.iter_mut().zip([1.0, -0.5]) {
+            let mean = share * Tangent::new(0.06, -0.03, 0.02, 2e-3, -1e-3, 3e-3);
+            let posterior = Posterior { mean, covariance: motion.covariance };
+            (motion.covariance, motion.posterior) = (posterior.second_moment(), Some(posterior));
+            motion.verdict = Some(Verdict::Given);
+        }
+        seen
+    }
+
+    #[test]
+    fn every_format_writes_the_corrected_motions_as_it_writes_measured_ones() {
+        let corrected = ExportOptions { poses: Poses::Corrected, ..ExportOptions::default() };
+        let by_hand = seen().corrected().unwrap();
+        for format in Format::value_variants() {
+            let text = format.render(&seen(), &corrected).unwrap();
+            let expected = format.render(&by_hand, &ExportOptions::default()).unwrap();
+            // What says that they are corrected is all that differs.
+            let plain = text.replace(corrected.remark(), "").replace("\"corrected\":true,", "");
+            assert_eq!(plain, expected, "{}", format.name());
+            assert_ne!(text, format.render(&seen(), &ExportOptions::default()).unwrap());
+            let problem = format.render(&measured(), &corrected).unwrap_err().to_string();
+            assert!(problem.contains("does not predict the error itself"), "{problem}");
+        }
     }
 
     #[test]

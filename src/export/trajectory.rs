@@ -10,43 +10,36 @@ use crate::fusion::FusedTrajectory;
 use crate::geometry::{Covariance6, Pose};
 
 /// `t x y z qx qy qz qw`, t in seconds, or the frame where times are not known.
-pub(super) fn render_tum(
-    measured: &MeasuredMotions,
-    options: &ExportOptions,
-    floor: Option<[f64; 2]>,
-) -> Result<String> {
+pub(super) fn render_tum(measured: &MeasuredMotions, options: &ExportOptions) -> Result<String> {
     let chain = Chain::of(measured)?;
     let begin = measured.motions[0].times_s.map(|[source, _]| source);
     let ends = measured.motions.iter().map(|motion| motion.times_s.map(|[_, target]| target));
     let times: Option<Vec<f64>> = std::iter::once(begin).chain(ends).collect();
     let times = times.unwrap_or_else(|| chain.frames.iter().map(|&frame| frame as f64).collect());
-    let side = options.perturbation.unwrap_or(Perturbation::Left);
+    let side = options.side();
     let what = match options.trajectory {
         TrajectoryCovariance::None => String::new(),
         TrajectoryCovariance::Relative => format!("; covariance of the motion from the row before, {}", remark(side)),
         TrajectoryCovariance::Accumulated => format!("; covariance of the pose in the first frame, {}", remark(side)),
     };
-    let mut text = format!("# t x y z qx qy qz qw; first_from_frame, axes: {}{what}\n", measured.frame.name());
+    let (frame, how) = (measured.frame.name(), options.remark());
+    let mut text = format!("# t x y z qx qy qz qw; first_from_frame{how}, axes: {frame}{what}\n");
     for (row, time) in times.iter().enumerate() {
         let pose = std::iter::once(*time).chain(pose_numbers(&chain.poses[row]));
-        text += &join(pose.chain(covariance(measured, &chain, row, options, floor)), " ");
+        text += &join(pose.chain(covariance(measured, &chain, row, options)), " ");
         text.push('\n');
     }
     Ok(text)
 }
 
 /// Twelve numbers, the first three rows of `first_from_frame`; no remark, for the format knows none.
-pub(super) fn render_kitti(
-    measured: &MeasuredMotions,
-    options: &ExportOptions,
-    floor: Option<[f64; 2]>,
-) -> Result<String> {
+pub(super) fn render_kitti(measured: &MeasuredMotions, options: &ExportOptions) -> Result<String> {
     let chain = Chain::of(measured)?;
     let mut text = String::new();
     for row in 0..chain.poses.len() {
         let matrix: Matrix4<f64> = chain.poses[row].matrix();
         let pose = (0..12).map(|entry| matrix[(entry / 4, entry % 4)]);
-        text += &join(pose.chain(covariance(measured, &chain, row, options, floor)), " ");
+        text += &join(pose.chain(covariance(measured, &chain, row, options)), " ");
         text.push('\n');
     }
     Ok(text)
@@ -68,14 +61,8 @@ fn remark(side: Perturbation) -> String {
     format!("order x y z roll pitch yaw, {} perturbation", side.name())
 }
 
-fn covariance(
-    measured: &MeasuredMotions,
-    chain: &Chain,
-    row: usize,
-    options: &ExportOptions,
-    floor: Option<[f64; 2]>,
-) -> Vec<f64> {
-    let side = options.perturbation.unwrap_or(Perturbation::Left);
+fn covariance(measured: &MeasuredMotions, chain: &Chain, row: usize, options: &ExportOptions) -> Vec<f64> {
+    let (side, floor) = (options.side(), options.floor);
     let covariance = match (options.trajectory, row) {
         (TrajectoryCovariance::None, _) => return Vec::new(),
         (_, 0) => on_side(&Covariance6::zero(), &Pose::identity(), side, floor),

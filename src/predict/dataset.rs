@@ -8,14 +8,14 @@ use crate::config::{Config, TruthConfig};
 use crate::data::{Dataset, Drive, PairReader, Split};
 use crate::error::{Error, Result};
 use crate::evaluation::{Prediction, predict_split};
-use crate::export::{MeasuredMotion, MeasuredMotions};
+use crate::export::{MeasuredMotion, MeasuredMotions, Verdict};
 use crate::geometry::{ErrorFrame, Pose};
 use crate::model::Estimate;
 
 impl Model {
     /// Predicts every readable measurement of a split, images decoded ahead of the network; one entry for each system
-    /// and drive, in their order, poses and covariances in axes of `output`. `config` is the data set's, with the size of
-    /// this model.
+    /// and drive, in their order; poses, covariances and what is known of the errors in axes of `output`. `config` is the
+    /// data set's, with the size of this model.
     ///
     /// `progress` is told how many are done and may end it by an error.
     ///
@@ -53,7 +53,7 @@ impl Model {
                 source_from_target: Pose::exp(motion).conjugated_by(&output_from_vehicle),
                 covariance: estimate.covariance,
                 posterior: estimate.posterior,
-                no_verdict: estimate.no_verdict,
+                verdict: self.has_evidence().then(|| Verdict::of(estimate.no_verdict)),
             });
         }
         let named = |((system, drive), motions): ((usize, usize), Vec<MeasuredMotion>)| MeasuredMotions {

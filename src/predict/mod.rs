@@ -1,5 +1,6 @@
-//! A trained model as a library: one measurement in, its covariance out ([`Model`]); a JSON object in, a JSON object
-//! out ([`Stream`]); all measurements of a data set ([`Model::predict_measurements`]).
+//! A trained model as a library: one measurement in, its covariance out, or all that is said of it ([`Model`],
+//! [`Judgement`]); a JSON object in, a JSON object out ([`Stream`]); all measurements of a data set
+//! ([`Model::predict_measurements`]).
 
 mod dataset;
 mod request;
@@ -18,8 +19,10 @@ use crate::data::{PairNumbers, PairSample, RgbImage, RightImages, camera_axes_fr
 use crate::depth::{DepthMap, LiveDepth};
 use crate::error::{Error, Result};
 use crate::evaluation::{Recalibration, read_values};
+use crate::export::Verdict;
 use crate::geometry::{Covariance6, ErrorFrame, Pinhole, Pose, Posterior, Tangent};
 use crate::model::{Architecture, CovarianceModel, Estimate, EvidenceInput, ImagePair};
+use crate::network::Head;
 use crate::training::RunFolder;
 
 pub use stream::{Stream, StreamSettings};
@@ -88,12 +91,22 @@ pub struct Measurement {
 pub struct Judgement {
     /// R: covariance of `e = log(T̂ T⁻¹)`, of the measurement as it is.
     pub covariance: Covariance6,
-    /// Of a model with a posterior head: μ, the error that the images show. `exp(−μ) T̂` is the corrected measurement
-    /// ([`Posterior::correct`]), and its covariance C; `R = C + μ μᵀ`.
+    /// Of a model with a posterior head: μ, the error that the images show, and C, the covariance of what is left without
+    /// it; `R = C + μ μᵀ`.
     pub posterior: Option<Posterior>,
+    /// Of the same: the corrected measurement `exp(−μ) T̂`, in axes of the camera as the measurement itself, m; its
+    /// covariance is C.
+    pub corrected_source_from_target: Option<Pose>,
     /// What direct alignment found, of a model with evidence. Where it came to no verdict
     /// ([`Evidence::no_verdict`]) the covariance is the prior's and the correction is none.
     pub evidence: Option<Evidence>,
+}
+
+impl Judgement {
+    /// Whether the images say something of the error, of a model with evidence.
+    pub fn verdict(&self) -> Option<Verdict> {
+        self.evidence.as_ref().map(|evidence| Verdict::of(evidence.no_verdict))
+    }
 }
 
 /// The right camera's part of a [`Measurement`].
@@ -148,7 +161,6 @@ impl Model {
     ///     camera,
     ///     source_from_target: Pose::identity(),
     ///     right: None,
-    ///     camera_from_vehicle: None,
     ///     camera_from_vehicle: None,
     /// })?;
     /// assert!((covariance.variance()[0].ln() + 4.0).abs() < 1e-5);
@@ -242,10 +254,21 @@ impl Model {
         let outputs = read_values(self.network.forward(&numbers.upload(&self.device)))?;
         let evidence: Vec<_> = samples.into_iter().map(|sample| sample.evidence).collect();
         let estimates = self.network.estimates(&outputs, &evidence)?;
-        let judged = estimates.into_iter().map(|estimate| self.recalibrated(estimate)).zip(evidence);
-        Ok(judged
-            .map(|(Estimate { covariance, posterior, .. }, evidence)| Judgement { covariance, posterior, evidence })
-            .collect())
+        let judged = measurements.iter().zip(estimates).zip(evidence);
+        judged
+            .map(|((measurement, estimate), evidence)| {
+                let Estimate { covariance, posterior, .. } = self.recalibrated(estimate);
+                let correct = |posterior: Posterior| self.corrected(measurement, &posterior);
+                let corrected_source_from_target = posterior.map(correct).transpose()?;
+                Ok(Judgement { covariance, posterior, corrected_source_from_target, evidence })
+            })
+            .collect()
+    }
+
+    /// The measured pose without the error that the images show, axes of the measurement's camera.
+    fn corrected(&self, measurement: &Measurement, posterior: &Posterior) -> Result<Pose> {
+        let camera_from_errors = self.errors_from_camera(measurement)?.inverse();
+        Ok(posterior.transported(&camera_from_errors).correct(&measurement.source_from_target))
     }
 
     fn recalibrated(&self, mut estimate: Estimate) -> Estimate {
@@ -255,14 +278,26 @@ impl Model {
         estimate
     }
 
+    /// Whether it predicts the error itself, so that measurements can be corrected.
+    pub fn corrects(&self) -> bool {
+        self.architecture.head == Head::Posterior
+    }
+
+    fn has_evidence(&self) -> bool {
+        self.architecture.evidence == EvidenceInput::Alignment
+    }
+
+    /// Vehicle axes into those of a camera: as given; else, where errors must be brought to them, as on the drives that it
+    /// was trained on; else the vehicle is where the camera is.
+    fn camera_from_vehicle(&self, given: Option<Pose>) -> Pose {
+        given.or(self.camera_from_vehicle.filter(|_| self.has_evidence())).unwrap_or_else(camera_axes_from_vehicle)
+    }
+
     /// Axes of the errors from those of a measurement's camera.
     fn errors_from_camera(&self, measurement: &Measurement) -> Result<Pose> {
         match self.error_frame {
             ErrorFrame::Camera => Ok(Pose::identity()),
-            ErrorFrame::Vehicle => {
-                let camera_from_vehicle = measurement.camera_from_vehicle.or(self.camera_from_vehicle);
-                Ok(camera_from_vehicle.unwrap_or_else(camera_axes_from_vehicle).inverse())
-            }
+            ErrorFrame::Vehicle => Ok(self.camera_from_vehicle(measurement.camera_from_vehicle).inverse()),
             ErrorFrame::World => Err(Error::Data(
                 "this model's covariances are in axes of the world, which a single measurement does not know; its evidence needs them: predict for a data set, or train with data.error_frame = \"vehicle\" or \"camera\"".to_owned(),
             )),
@@ -272,7 +307,7 @@ impl Model {
     fn prepare(&self, measurement: &Measurement) -> Result<PairSample> {
         let Measurement { source_image, target_image, target_depth, camera, source_from_target, right, .. } =
             measurement;
-        let with_evidence = self.architecture.evidence == EvidenceInput::Alignment;
+        let with_evidence = self.has_evidence();
         // A warp needs something to show; evidence may say that there is nothing.
         let must_show = self.architecture.pair == ImagePair::Warped && !with_evidence;
         let right = right.as_ref().filter(|_| self.architecture.stereo);
@@ -356,30 +391,4 @@ fn overlaps(target_depth: &DepthMap, camera: &Pinhole, source_from_target: &Pose
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_measurement_that_leaves_nothing_to_compare_is_refused() {
-        let device = Device::flex();
-        let model = Model::untrained(Architecture::paper(32, 16), ErrorFrame::Vehicle, [-4.0; 6], &device);
-        let grey = RgbImage { width: 64, height: 32, bytes: vec![128; 3 * 64 * 32] };
-        let measurement = |depth: f32| Measurement {
-            source_image: grey.clone(),
-            target_image: grey.clone(),
-            target_depth: DepthMap { width: 4, height: 2, depth_m: vec![depth; 8] },
-            camera: Pinhole { fx: 40.0, fy: 40.0, cx: 31.5, cy: 15.5, width: 64, height: 32 },
-            source_from_target: Pose::identity(),
-            right: None,
-            camera_from_vehicle: None,
-        };
-        assert!(model.predict(&measurement(5.0)).is_ok());
-        let message = model.predict(&measurement(0.0)).unwrap_err().to_string();
-        assert!(message.contains("not one pixel"), "{message}");
-        // The camera turned round: what it saw before is behind it.
-        let round = Pose::exp(&Tangent::new(0.0, 0.0, 0.0, 0.0, std::f64::consts::PI, 0.0));
-        let turned = Measurement { source_from_target: round, ..measurement(5.0) };
-        let message = model.predict(&turned).unwrap_err().to_string();
-        assert!(message.contains("shows nothing of the target"), "{message}");
-    }
-}
+mod tests;

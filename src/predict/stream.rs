@@ -5,10 +5,10 @@ use serde::Serialize;
 use super::request::{Id, Identity, PoseFrame, Request};
 use super::{Measurement, Model, RightView};
 use crate::config::DepthConfig;
-use crate::data::{camera_axes_from_vehicle, decode_image, read_image};
+use crate::data::{decode_image, read_image};
 use crate::depth::{LiveDepth, decode_depth_png, read_depth_png};
 use crate::error::{Error, Result};
-use crate::export::{JsonCovariance, Perturbation};
+use crate::export::{JsonJudgement, JsonPose, MeasuredMotion, Perturbation, Poses};
 use crate::geometry::{ErrorFrame, Pinhole, Pose};
 
 /// How a stream answers.
@@ -16,12 +16,14 @@ use crate::geometry::{ErrorFrame, Pinhole, Pose};
 pub struct StreamSettings {
     /// Where depth comes from that a request does not give; `None`: the run's own source.
     pub depth: Option<DepthConfig>,
-    /// Axes of the covariances; `None`: the model's.
+    /// Axes of covariances and corrections; `None`: the model's.
     pub frame: Option<ErrorFrame>,
     /// Side of the covariances; `None`: left.
     pub perturbation: Option<Perturbation>,
     /// Least variances, m² and rad².
     pub floor: Option<[f64; 2]>,
+    /// Whether an answer's covariance is that of the measured pose, or that of the corrected one, which it then has too.
+    pub poses: Poses,
 }
 
 /// Answers requests one by one; keeps nothing of them.
@@ -39,25 +41,39 @@ pub struct StreamSettings {
 /// | `intrinsics` | fx, fy, cx, cy at that size, px, pixel centres at integer coordinates |
 /// | `pose` | measured `ⁱT̂ᵢ₊₁`: 7 numbers `x y z qx qy qz qw`, or 12 or 16 of a matrix, row by row, nested or not; m |
 /// | `pose_frame` | `camera` (default) or `vehicle`: whose motion that is |
-/// | `camera_from_vehicle` | a pose in the same form; default: the vehicle is where the camera is, x forward, z up |
+/// | `camera_from_vehicle` | a pose in the same form; default: as on the drives that a model with evidence was trained on; of others the vehicle is where the camera is, x forward, z up |
 /// | `depth` | of the target, 16-bit PNG, metres x 256: a path or `base64`; default: what the run's own source makes |
 /// | `right_source_image`, `right_target_image`, `right_from_left` | for stereo models |
 /// | `id` | text or a number; comes back with the answer |
 ///
-/// The answer has `id`, and `covariance` (6 x 6), `std_devs`, `order`, `frame` and `perturbation`, or `error`.
+/// The answer has `id`, and `covariance` (6 x 6), `std_devs`, `order`, `frame` and `perturbation`, or `error`. A model
+/// with evidence adds its `verdict`, `ok` or the name of the `reason` why the images say nothing of the error; one with a
+/// posterior head `correction` (μ), `corrected_pose` and `corrected_covariance`, in the same axes and on the same side;
+/// or, where [`StreamSettings::poses`] are corrected, `corrected: true`, the corrected `pose`, and its covariance in place
+/// of the measurement's.
 pub struct Stream<'a> {
     model: &'a Model,
     depth: LiveDepth,
     frame: ErrorFrame,
     perturbation: Perturbation,
     floor: Option<[f64; 2]>,
+    poses: Poses,
 }
 
 #[derive(Serialize)]
 struct Answer<'a> {
     id: Id,
     #[serde(flatten)]
-    covariance: JsonCovariance<'a>,
+    corrected: Option<Corrected>,
+    #[serde(flatten)]
+    judgement: JsonJudgement<'a>,
+}
+
+/// The pose whose covariance an answer has, where it is not the one that was sent.
+#[derive(Serialize)]
+struct Corrected {
+    corrected: bool,
+    pose: JsonPose,
 }
 
 #[derive(Serialize)]
@@ -70,7 +86,8 @@ impl<'a> Stream<'a> {
     /// A stream of a model's predictions.
     ///
     /// # Errors
-    /// Axes of the world are asked for, or left, which single measurements do not know.
+    /// Axes of the world are asked for, or left, which single measurements do not know; or corrected poses, of a model
+    /// that does not predict the error itself.
     pub fn new(model: &'a Model, settings: &StreamSettings) -> Result<Self> {
         let frame = settings.frame.unwrap_or(model.error_frame());
         if frame != model.error_frame() && (frame == ErrorFrame::World || model.error_frame() == ErrorFrame::World) {
@@ -85,9 +102,14 @@ impl<'a> Stream<'a> {
                 "--perturbation right needs the measured motion in axes of the world, which single measurements do not know".to_owned(),
             ));
         }
+        if settings.poses == Poses::Corrected && !model.corrects() {
+            return Err(Error::Data(
+                "corrected poses are asked for, and this model does not predict the error itself; train one with model.head = \"posterior\"".to_owned(),
+            ));
+        }
         let depth = settings.depth.as_ref().map_or_else(|| model.live_depth(), |depth| model.live_depth_of(depth));
         let perturbation = settings.perturbation.unwrap_or(Perturbation::Left);
-        Ok(Self { model, depth, frame, perturbation, floor: settings.floor })
+        Ok(Self { model, depth, frame, perturbation, floor: settings.floor, poses: settings.poses })
     }
 
     /// The answer to a request, without a line end. What is wrong with the request is its answer.
@@ -101,9 +123,9 @@ impl<'a> Stream<'a> {
         };
         let answered = parsed
             .map_err(|error| Error::Data(format!("no request: {error} (docs/predict.md lists the fields)")))
-            .and_then(|request| self.predict(request));
+            .and_then(|request| self.judge(request));
         match answered {
-            Ok(covariance) => serde_json::to_string(&Answer { id, covariance }).expect("numbers and names are JSON"),
+            Ok(motion) => serde_json::to_string(&self.said_of(&motion, id)).expect("numbers and names are JSON"),
             Err(error) => refusal(id, &error.to_string()),
         }
     }
@@ -113,11 +135,17 @@ impl<'a> Stream<'a> {
         refusal(Id::Null, problem)
     }
 
-    fn predict(&self, request: Request) -> Result<JsonCovariance<'static>> {
-        let camera_from_vehicle = match &request.camera_from_vehicle {
-            Some(numbers) => numbers.pose("camera_from_vehicle")?,
-            None => camera_axes_from_vehicle(),
-        };
+    fn said_of(&self, motion: &MeasuredMotion, id: Id) -> Answer<'static> {
+        let corrected = (self.poses == Poses::Corrected)
+            .then(|| Corrected { corrected: true, pose: JsonPose::new(&motion.source_from_target) });
+        let judgement = JsonJudgement::new(self.frame.name(), motion, self.perturbation, self.floor);
+        Answer { id, corrected, judgement }
+    }
+
+    /// What a request measured, with what the model says of it, in axes of the answers; corrected if that was asked for.
+    fn judge(&self, request: Request) -> Result<MeasuredMotion> {
+        let given = request.camera_from_vehicle.as_ref().map(|numbers| numbers.pose("camera_from_vehicle"));
+        let camera_from_vehicle = self.model.camera_from_vehicle(given.transpose()?);
         let stated = request.pose.pose("pose")?;
         let source_from_target = match request.pose_frame {
             PoseFrame::Camera => stated,
@@ -149,28 +177,35 @@ impl<'a> Stream<'a> {
             camera,
             source_from_target,
             right,
-            camera_from_vehicle: request.camera_from_vehicle.is_some().then_some(camera_from_vehicle),
+            camera_from_vehicle: Some(camera_from_vehicle),
         };
-        let covariance = self.model.predict(&measurement)?;
+        let judgement = self.model.judge(&measurement)?;
         let axes_from_camera = |frame| match frame {
             ErrorFrame::Camera => Pose::identity(),
+            // A stream whose answers are in axes of the world says nothing of poses.
             ErrorFrame::Vehicle | ErrorFrame::World => camera_from_vehicle.inverse(),
         };
-        let covariance = if self.frame == self.model.error_frame() {
-            covariance
-        } else {
-            let output_from_errors =
-                axes_from_camera(self.frame) * axes_from_camera(self.model.error_frame()).inverse();
-            covariance.transported(&output_from_errors)
+        let output_from_camera = axes_from_camera(self.frame);
+        let verdict = judgement.verdict();
+        let (mut covariance, mut posterior) = (judgement.covariance, judgement.posterior);
+        if self.frame != self.model.error_frame() {
+            let output_from_errors = output_from_camera * axes_from_camera(self.model.error_frame()).inverse();
+            covariance = covariance.transported(&output_from_errors);
+            posterior = posterior.map(|posterior| posterior.transported(&output_from_errors));
+        }
+        let motion = MeasuredMotion {
+            source: 0,
+            target: 1,
+            times_s: None,
+            source_from_target: source_from_target.conjugated_by(&output_from_camera),
+            covariance,
+            posterior,
+            verdict,
         };
-        let covariance = match self.perturbation {
-            Perturbation::Left => covariance,
-            Perturbation::Right => {
-                covariance.right_of(&source_from_target.conjugated_by(&axes_from_camera(self.frame)))
-            }
-        };
-        let covariance = self.floor.map_or(covariance, |floor| covariance.with_floor(floor));
-        Ok(JsonCovariance::new(self.frame.name(), self.perturbation, &covariance))
+        Ok(match self.poses {
+            Poses::Measured => motion,
+            Poses::Corrected => motion.corrected().expect("checked when the stream was made"),
+        })
     }
 }
 

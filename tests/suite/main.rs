@@ -2,6 +2,7 @@
 
 mod ablations;
 mod cli;
+mod corrected_cli;
 mod depth_cli;
 mod devices;
 mod eval_cli;

@@ -341,6 +341,8 @@ fn what_cannot_be_done_is_said() {
         (vec!["--set", "model.width=64"], "keeps its shape"),
         (vec!["--stream", "--frame", "world"], "single measurements do not know the world"),
         (vec!["--stream", "--format", "g2o"], "leave --format out"),
+        (vec!["--corrected", "--system", "lidar"], "does not predict the error itself"),
+        (vec!["--corrected", "--stream"], "does not predict the error itself"),
     ] {
         world.predict(&arguments).assert().code(1).stderr(contains(expected));
     }
@@ -380,7 +382,15 @@ fn a_model_needs_its_configuration_only_for_depth_that_is_not_given() {
     let target_depth = relcov::depth::ground_plane_depth(&camera, 1.65, None, 80.0);
     let source_from_target = Pose::identity();
     let (source_image, target_image) = (image.clone(), image);
-    let measurement =
-        relcov::Measurement { source_image, target_image, target_depth, camera, source_from_target, right: None, camera_from_vehicle: None };
+    let (right, camera_from_vehicle) = (None, None);
+    let measurement = relcov::Measurement {
+        source_image,
+        target_image,
+        target_depth,
+        camera,
+        source_from_target,
+        right,
+        camera_from_vehicle,
+    };
     assert!(model.predict(&measurement).unwrap().is_positive());
 }

@@ -119,11 +119,13 @@ pub(super) fn chosen_systems<'a>(arguments: &FuseArguments, table: &'a PairTable
     }
 }
 
-/// The kinds of covariances that every system has. One of a component that never erred is none.
+/// The kinds of covariances that every system has. One of a component that never erred is none. Corrected measurements
+/// are among them where a model predicts the error of one of the systems.
 pub(super) fn available(measured: &Measured, systems: &[&SystemPairs]) -> Vec<Method> {
+    let corrects = systems.iter().any(|system| system.rows.iter().any(|row| row.posterior.is_some()));
     let usable = |method: &Method| {
-        // A corrected measurement is not the one that is fused here.
-        !matches!(method, Method::Zero | Method::Corrected)
+        *method != Method::Zero
+            && (*method != Method::Corrected || corrects)
             && systems.iter().all(|system| {
                 covariances(measured, system, *method)
                     .is_some_and(|covariances| covariances.iter().all(Covariance6::is_positive))
@@ -138,7 +140,12 @@ pub(super) fn available(measured: &Measured, systems: &[&SystemPairs]) -> Vec<Me
 
 fn covariances(measured: &Measured, system: &SystemPairs, method: Method) -> Option<Vec<Covariance6>> {
     let baselines = measured.baselines.iter().find(|(name, _)| *name == system.name).map(|(_, baselines)| baselines);
-    method.covariances(system, baselines, measured.recalibrations.get(&system.name))
+    let of = |method: Method| method.covariances(system, baselines, measured.recalibrations.get(&system.name));
+    match method {
+        // Beside corrected systems, one whose model does not predict errors stays as it is.
+        Method::Corrected => of(method).or_else(|| of(Method::Predicted)),
+        _ => of(method),
+    }
 }
 
 /// Drives on which the systems measured.
@@ -154,7 +161,8 @@ pub(super) fn true_trajectory(measured: &Measured, drive: usize) -> anyhow::Resu
     truth.trajectory().with_context(|| format!("{name}: its true motions do not make one trajectory"))
 }
 
-/// What the systems measured on a drive, in axes of the vehicle.
+/// What the systems measured on a drive, in axes of the vehicle; corrected by what the images show of each error, where
+/// the method says so.
 pub(super) fn odometry_of(
     measured: &Measured,
     systems: &[&SystemPairs],
@@ -173,11 +181,13 @@ pub(super) fn odometry_of(
         let covariances = covariances(measured, system, method).expect("checked before");
         let rows = system.rows.iter().zip(covariances).filter(|(row, _)| *row.drive == *drive.name);
         let motions = rows.map(|(row, covariance)| {
-            let motion = row.motion.expect("a data set knows its motions");
+            let measured = Pose::exp(&row.motion.expect("a data set knows its motions").into());
+            let posterior = row.posterior.filter(|_| method == Method::Corrected);
             RelativePose {
                 source: row.source,
                 target: row.target,
-                source_from_target: Pose::exp(&motion.into()),
+                source_from_target: posterior
+                    .map_or(measured, |posterior| posterior.transported(&vehicle_from_errors).correct(&measured)),
                 covariance: Some(covariance.transported(&vehicle_from_errors)),
             }
         });

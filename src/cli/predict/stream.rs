@@ -24,6 +24,7 @@ pub(super) fn stream(arguments: &PredictArguments, config: &Config, model: &Mode
         frame: arguments.frame.map(FrameArgument::frame),
         perturbation: arguments.perturbation,
         floor: arguments.floor,
+        poses: arguments.poses(),
     };
     let stream = Stream::new(model, &settings)?;
     let (mut requests, mut answers) = (io::stdin().lock(), io::stdout().lock());
