@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use nalgebra::{Matrix2, Matrix6, Matrix6x2, SVector};
+use nalgebra::{Matrix2, Matrix6, Matrix6x2, SVector, Vector2, Vector3};
 
 use super::evidence::{Evidence, LEVELS, LevelEvidence, NoVerdict};
 use super::image::{GreyImage, Textured, halved_depth};
@@ -30,6 +30,10 @@ const MOST_GAIN: f64 = 0.8;
 const LONGEST_STEP: f64 = 0.3;
 /// Least RMS gradient of an image that shows anything, 1/px.
 const LEAST_GRADIENT: f64 = 0.5 / 255.0;
+
+/// Least area in which the points of the target may lie in the source view, relative to that in the target itself: from
+/// so far away one pixel would stand for hundreds.
+const LEAST_SHRINKAGE: f64 = 0.01;
 
 /// What an alignment starts from.
 #[derive(Clone, Copy, Debug)]
@@ -74,6 +78,9 @@ pub fn align(input: &AlignmentInput) -> Evidence {
     let least = |level: &Level| LEAST_PIXELS.max((LEAST_SHARE * level.pixels as f64) as usize);
     if finest.points.known < least(finest) {
         return Evidence::none(NoVerdict::NoDepth);
+    }
+    if shrinkage(&finest.points, &source_from_target) < LEAST_SHRINKAGE {
+        return Evidence::none(NoVerdict::NoOverlap);
     }
     let longest_m = LONGEST_STEP * f64::from(median_depth(&finest.points));
     let mut evidence = Evidence::none(NoVerdict::Diverged);
@@ -238,6 +245,23 @@ fn shows_anything(image: &Textured) -> bool {
         squares += f64::from(along_row * along_row + along_column * along_column);
         squares > enough
     })
+}
+
+/// How the area that points of the target take changes from its view to that of the source: the ratio of the
+/// determinants of their scatter, square root; points behind the source camera left out.
+fn shrinkage(points: &Points, source_from_target: &Pose) -> f64 {
+    let area = |pose: &Pose| {
+        let seen = (0..points.known).step_by(points.known / 256 + 1).filter_map(|k| {
+            let point = Vector3::new(points.x[k], points.y[k], points.z[k]).map(f64::from);
+            let point = pose.transform_point(&point);
+            (point.z > 0.0).then(|| Vector2::new(point.x / point.z, point.y / point.z))
+        });
+        let seen: Vec<Vector2<f64>> = seen.collect();
+        let mean = seen.iter().sum::<Vector2<f64>>() / seen.len().max(1) as f64;
+        let scatter: Matrix2<f64> = seen.iter().map(|point| (point - mean) * (point - mean).transpose()).sum();
+        (scatter / seen.len().max(1) as f64).determinant().max(0.0).sqrt()
+    };
+    area(source_from_target) / area(&Pose::identity()).max(f64::MIN_POSITIVE)
 }
 
 fn median_depth(points: &Points) -> f32 {

@@ -223,8 +223,10 @@ fn what_shows_nothing_gets_no_verdict() {
     assert_eq!(no_verdict(&one_black, &Tangent::zeros()), Some(NoVerdict::NoTexture));
     let unknown = Pair { depth_m: vec![0.0; 192 * 64], ..pair() };
     assert_eq!(no_verdict(&unknown, &Tangent::zeros()), Some(NoVerdict::NoDepth));
-    let kilometre = Tangent::new(1000.0, 0.0, 0.0, 0.0, 0.0, 0.0);
-    assert_eq!(no_verdict(&pair(), &kilometre), Some(NoVerdict::NoOverlap));
+    for (axis, side) in [(0, 1.0), (1, 1.0), (2, 1.0), (2, -1.0)] {
+        let kilometre = Tangent::from_fn(|row, _| if row == axis { 1000.0 * side } else { 0.0 });
+        assert_eq!(no_verdict(&pair(), &kilometre), Some(NoVerdict::NoOverlap), "{kilometre}");
+    }
     let turned = Tangent::new(0.0, 0.0, 0.0, 0.0, std::f64::consts::PI, 0.0);
     assert_eq!(no_verdict(&pair(), &turned), Some(NoVerdict::NoOverlap));
     let mut depth_m = vec![0.0; 192 * 64];

@@ -203,7 +203,7 @@ fn a_measurement_that_shows_nothing_gets_the_priors_covariance_and_a_reason() {
         right: None,
         camera_from_vehicle: None,
     };
-    let Judgement { covariance, posterior, evidence } = model.judge(&whole).unwrap();
+    let Judgement { covariance, posterior, evidence, .. } = model.judge(&whole).unwrap();
     let posterior = posterior.expect("a posterior head");
     assert_eq!(evidence.unwrap().no_verdict, None);
     assert!((posterior.second_moment().matrix() - covariance.matrix()).norm() < 1e-12 && posterior.mean.norm() > 0.0);
@@ -221,7 +221,7 @@ fn a_measurement_that_shows_nothing_gets_the_priors_covariance_and_a_reason() {
         (Measurement { target_depth: depth(&|k| k % 100 == 0), ..whole.clone() }, NoVerdict::NoDepth),
         (Measurement { source_from_target: moved(-1000.0), ..whole.clone() }, NoVerdict::NoOverlap),
     ] {
-        let Judgement { covariance, posterior, evidence } = model.judge(&measurement).unwrap();
+        let Judgement { covariance, posterior, evidence, .. } = model.judge(&measurement).unwrap();
         let posterior = posterior.unwrap();
         assert_eq!(evidence.unwrap().no_verdict, Some(reason));
         assert_eq!(posterior.mean, Tangent::zeros());
