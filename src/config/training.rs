@@ -22,6 +22,9 @@ pub struct TrainingConfig {
     /// Epochs at the start in which a network that has evidence is shown that alone; images join afterwards. Evidence
     /// is learned a hundred times faster. Default: 0.
     pub evidence_epochs: usize,
+    /// Adam's learning rate in mini-batches that show images. Default: learning_rate.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub image_learning_rate: Option<f64>,
     /// With `model.head = "posterior"`: the share of the corrected error's likelihood, `e ~ N(μ, C)`, in the loss; the
     /// rest is that of the error itself, `e ~ N(0, R)`. Default: 0.5.
     pub corrected_share: f64,
@@ -52,6 +55,7 @@ impl Default for TrainingConfig {
             epochs: 100,
             batches_per_epoch: None,
             evidence_epochs: 0,
+            image_learning_rate: None,
             corrected_share: 0.5,
             watch: WatchedSplit::default(),
             watch_system: None,

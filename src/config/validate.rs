@@ -267,6 +267,9 @@ impl Config {
         require((0.0..=1.0).contains(&share), "training.corrected_share", || format!("{share} is not in [0, 1]"))?;
         let rate = training.learning_rate;
         require(rate.is_finite() && rate > 0.0, "training.learning_rate", || format!("{rate} is not positive"))?;
+        let rate = training.image_learning_rate.unwrap_or(rate);
+        let positive = rate.is_finite() && rate > 0.0;
+        require(positive, "training.image_learning_rate", || format!("{rate} is not positive"))?;
         let tolerance = training.stop.tolerance;
         require(tolerance.is_finite() && tolerance >= 0.0, "training.stop.tolerance", || {
             format!("{tolerance} is negative")

@@ -20,8 +20,8 @@ use super::events::{Event, Outcome, StopReason};
 use super::history::History;
 use super::manifest::Manifest;
 use super::run_folder::RunFolder;
-use super::schedule::rate_factor;
 use super::setup::{constant_loss, describe, watched_split, watched_system};
+use super::stages::Stages;
 use crate::config::Config;
 use crate::data::{BadFrame, BatchLoader, Choice, Dataset, Images, LoadedBatch, PairReader, Request, Split, SplitName};
 use crate::error::{Error, Result};
@@ -75,7 +75,7 @@ impl Learner {
         if manifest.experiment_fingerprint != config.experiment_fingerprint() {
             return Err(Error::run(
                 run.path(),
-                "was started with other settings; a resumed run may change its device, data.root, data.max_bad_fraction, data.cache_mb, and of training: epochs, stop, learning_rate, schedule, micro_batch, loader_threads, prefetch, prefetch_mb; start a new run for others",
+                "was started with other settings; a resumed run may change its device, data.root, data.max_bad_fraction, data.cache_mb, and of training: epochs, stop, learning_rate, image_learning_rate, schedule, micro_batch, loader_threads, prefetch, prefetch_mb; start a new run for others",
             ));
         }
         if manifest.data_fingerprint != dataset.fingerprint() {
@@ -216,12 +216,12 @@ impl Learner {
     /// One step of Adam on the mean loss of a mini-batch, taken in micro-batches.
     fn learn_batch(&mut self, loader: &mut BatchLoader) -> Result<f64> {
         let begin = Instant::now();
-        let (seed, batch) = (self.config.seed, self.history.batches);
+        let (seed, batch, stages) = (self.config.seed, self.history.batches, self.stages());
         let size = self.config.training.batch;
         let mut gradients = GradientsAccumulator::new();
         let mut losses: Vec<Tensor<1>> = Vec::new();
         let mut learned: Vec<usize> = Vec::new();
-        for part in 0..size.div_ceil(self.part_size(self.images_of_batch(batch))) {
+        for part in 0..size.div_ceil(stages.part_size(batch)) {
             let LoadedBatch { pairs, numbers, .. } = loader.next_batch()?;
             let numbers = numbers.expect("training pairs are substituted, never left out");
             // Dropout is a function of seed, batch and part, so that a resumed run repeats it.
@@ -242,8 +242,7 @@ impl Learner {
                 batch + 1
             )));
         }
-        let share = self.share_of_stage(batch);
-        let learning_rate = self.config.training.learning_rate * rate_factor(self.config.training.schedule, share);
+        let learning_rate = stages.learning_rate(batch);
         let model = self.model.take().expect("put back by the step before");
         self.model = Some(self.optimiser.step(learning_rate, model, gradients.grads()));
         for (pair, loss) in learned.into_iter().zip(losses) {
@@ -283,7 +282,7 @@ impl Learner {
     /// Predictions of the watched split; an interrupt ends them, and a resumed run makes them anew.
     fn predict_watched(&self, observer: &mut dyn FnMut(Event)) -> Result<Vec<Prediction>> {
         // Before images have a say they need not be looked at.
-        let images = self.images_of_batch(self.history.batches.saturating_sub(1));
+        let images = self.stages().images(self.history.batches.saturating_sub(1));
         let split = self.dataset.split(watched_split(&self.config));
         let learned = |system: usize| self.config.systems[system].share > 0.0;
         self.predict(&self.model().valid(), &split.of_systems(learned), images, &self.watched_reader, observer)
@@ -340,30 +339,8 @@ impl Learner {
         self.run.save_state(self.model(), &self.optimiser, &self.history, &self.dataset.systems)
     }
 
-    /// Mini-batches at the start that show evidence alone.
-    fn evidence_batches(&self) -> usize {
-        self.config.training.evidence_epochs * self.batches_per_epoch()
-    }
-
-    /// How far a mini-batch lies in its stage, 0…1: evidence alone, then images; or the whole training.
-    fn share_of_stage(&self, batch: usize) -> f64 {
-        let all = self.config.training.epochs * self.batches_per_epoch();
-        let alone = self.evidence_batches().min(all);
-        let (begin, end) = if batch < alone { (0, alone) } else { (alone, all) };
-        (batch - begin) as f64 / (end - begin).max(1) as f64
-    }
-
-    /// Whether images are shown in a mini-batch of the training.
-    fn images_of_batch(&self, batch: usize) -> Images {
-        if batch < self.evidence_batches() { Images::LeftOut } else { self.architecture.images() }
-    }
-
-    /// Most pairs of a part of a mini-batch: without images all fit memory.
-    fn part_size(&self, images: Images) -> usize {
-        match images {
-            Images::Included => self.config.training.micro_batch,
-            Images::LeftOut => self.config.training.batch,
-        }
+    fn stages(&self) -> Stages {
+        Stages::new(&self.config.training, self.batches_per_epoch(), self.architecture.images())
     }
 
     /// Reads all mini-batches that are still to come, part by part.
@@ -373,19 +350,19 @@ impl Learner {
         let counts = self.config.pairs_per_batch();
         let mut mixer = Mixer::new(self.config.seed, ranges.clone().into_iter().zip(counts));
         let systems: Vec<usize> = split.pairs.iter().map(|pair| pair.system).collect();
-        let evidence_batches = self.evidence_batches();
-        let with_images = self.architecture.images();
-        let sizes = [self.part_size(Images::LeftOut), self.part_size(Images::Included)];
+        let stages = self.stages();
         let requests = (self.history.batches..).flat_map(move |batch| {
-            let images = if batch < evidence_batches { Images::LeftOut } else { with_images };
-            let size = sizes[usize::from(images == Images::Included)];
+            let images = stages.images(batch);
             let choice = |PlannedPair { pair, pass }| Choice {
                 pair,
                 draw: Some(pass),
                 substitutes: Some(ranges[systems[pair]].clone()),
             };
             let choices: Vec<Choice> = mixer.plan(batch).pairs.into_iter().map(choice).collect();
-            choices.chunks(size).map(|choices| Request { choices: choices.to_vec(), images }).collect::<Vec<_>>()
+            choices
+                .chunks(stages.part_size(batch))
+                .map(|choices| Request { choices: choices.to_vec(), images })
+                .collect::<Vec<_>>()
         });
         BatchLoader::spawn(self.reader.clone(), Arc::new(split.pairs.clone()), requests, &self.config.training)
     }

@@ -14,6 +14,7 @@ mod run_folder;
 mod saved_state;
 mod schedule;
 mod setup;
+mod stages;
 
 pub use divergence::DivergenceRule;
 pub use events::{Event, Outcome, StopReason};
