@@ -34,7 +34,7 @@ const MOST_DRAWN: usize = 4;
 #[command(after_help = "Examples:
   relcov fuse --odometry vo=vo.csv --odometry wheel=wheel.csv --fixes gnss.csv --out fused.tum
   relcov fuse --odometry vo=vo.csv --constant vo=.05,.02,.02,1e-3,1e-3,2e-3 --truth poses.txt
-  relcov fuse --run checkpoints/synthetic_vo --run checkpoints/synthetic_wheel --config configs/synthetic_fusion.toml --simulate-fixes 100,0.5
+  relcov fuse --run checkpoints/synthetic --config configs/synthetic_fusion.toml --simulate-fixes 100,0.5
   relcov fuse --baselines-only --config configs/kitti.toml --set data.root=../shared/kitti --simulate-fixes 50,1
 
 --odometry reads relative poses with their covariances (the csv of `relcov predict`, or any program's:
