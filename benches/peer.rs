@@ -1,16 +1,21 @@
 //! One measurement for `data_scripts/bench_peer.py`, which runs the same one in PyTorch beside it.
 //!
-//! `cargo bench --bench peer -- train|forward|warp|depth|latency HEIGHT WIDTH BATCH RUNS` prints one line of JSON:
+//! `cargo bench --bench peer -- train|forward|warp|alignment|depth|latency HEIGHT WIDTH BATCH RUNS` prints one line of JSON:
 //! median, least and 99th percentile of the time in milliseconds, peak memory in MB, and memory before the network was built. `RAYON_NUM_THREADS` sets the threads,
 //! `RELCOV_INSTRUCTIONS=burn` takes Burn's own operations in place of relcov's kernels, and
 //! `RELCOV_BENCH_DEVICE` names another device than flex. `latency` predicts one covariance from end to end, from the two
-//! image files that `RELCOV_BENCH_IMAGES` names (FIRST:SECOND).
+//! image files that `RELCOV_BENCH_IMAGES` names (FIRST:SECOND). `alignment` aligns BATCH pairs at once, all the pair that
+//! it renders into the folder `RELCOV_BENCH_FOLDER`; what the peer needs of it lies there in `pair.json`.
+
+mod rendered;
 
 use std::path::Path;
 use std::time::Instant;
 
 use burn::optim::{GradientsParams, ModuleOptimizer};
 use burn::tensor::{Device, Distribution, Tensor, TensorData};
+use rayon::prelude::*;
+use relcov::alignment::align;
 use relcov::data::decode_image;
 use relcov::depth::ground_plane_depth;
 use relcov::depth::monodepth2::Monodepth2;
@@ -18,9 +23,11 @@ use relcov::device::open_device;
 use relcov::geometry::{ErrorFrame, Pinhole, Pose, Tangent};
 use relcov::kernels::Adam;
 use relcov::model::Architecture;
-use relcov::network::{CovarianceNetworkConfig, Head};
+use relcov::network::{CovarianceNetworkConfig, Head, ImageNetwork, NetworkInput};
 use relcov::warp::Warp;
 use relcov::{Measurement, Model};
+
+use rendered::RenderedPair;
 
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
@@ -32,7 +39,7 @@ fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| argument != "--bench").collect();
     let [mode, numbers @ ..] = &arguments[..] else {
         eprintln!(
-            "peer: run by data_scripts/bench_peer.py, or with `-- train|forward|warp|depth|latency HEIGHT WIDTH BATCH RUNS`"
+            "peer: run by data_scripts/bench_peer.py, or with `-- train|forward|warp|alignment|depth|latency HEIGHT WIDTH BATCH RUNS`"
         );
         return;
     };
@@ -45,6 +52,7 @@ fn main() {
         "train" => train([batch, height, width], runs, &device),
         "forward" => forward([batch, height, width], runs, &device),
         "warp" => warp([batch, height, width], runs, &device),
+        "alignment" => alignment([batch, height, width], runs),
         "depth" => depth([batch, height, width], runs, &device),
         "latency" => latency([height, width], runs, &device),
         mode => panic!("unknown measurement `{mode}`"),
@@ -76,7 +84,20 @@ fn times(runs: usize, mut run: impl FnMut()) -> Vec<f64> {
 }
 
 fn network(height: usize, width: usize) -> CovarianceNetworkConfig {
-    CovarianceNetworkConfig { channels: 6, pose: false, head: Head::Diagonal, height, width, dropout: 0.5 }
+    CovarianceNetworkConfig {
+        network: ImageNetwork::TableOne,
+        channels: 6,
+        pose: false,
+        evidence: None,
+        head: Head::Diagonal,
+        height,
+        width,
+        dropout: 0.5,
+    }
+}
+
+fn input(images: &Tensor<4>) -> NetworkInput {
+    NetworkInput { images: Some(images.clone()), ..NetworkInput::default() }
 }
 
 /// Forward, mean square, backward, Adam.
@@ -87,7 +108,7 @@ fn train([batch, height, width]: [usize; 3], runs: usize, device: &Device) -> Ve
     let targets = Tensor::<2>::random([batch, 6], Distribution::Normal(0.0, 1.0), device);
     times(runs, || {
         let network = model.take().expect("put back below");
-        let loss = (network.forward(images.clone(), None) - targets.clone()).square().mean();
+        let loss = (network.forward(input(&images)) - targets.clone()).square().mean();
         let gradients = GradientsParams::from_grads(loss.backward(), &network);
         model = Some(optimiser.step(1e-4, network, gradients));
         device.sync().expect("a device that works");
@@ -98,7 +119,7 @@ fn train([batch, height, width]: [usize; 3], runs: usize, device: &Device) -> Ve
 fn forward([batch, height, width]: [usize; 3], runs: usize, device: &Device) -> Vec<f64> {
     let network = network(height, width).init([0.0; 6], device);
     let images = Tensor::<4>::random([batch, 6, height, width], Distribution::Normal(0.0, 1.0), device);
-    times(runs, || drop(std::hint::black_box(network.forward(images.clone(), None).into_data())))
+    times(runs, || drop(std::hint::black_box(network.forward(input(&images)).into_data())))
 }
 
 /// A flat road, seen from a car that drives on.
@@ -118,6 +139,29 @@ fn warp([batch, height, width]: [usize; 3], runs: usize, device: &Device) -> Vec
         std::hint::black_box(warped);
         device.sync().expect("a device that works");
     })
+}
+
+/// The pair of a rendered street, aligned from what its visual odometry measured. With more than one pair, threads share
+/// them.
+fn alignment([pairs, height, width]: [usize; 3], runs: usize) -> Vec<f64> {
+    let folder = std::env::var("RELCOV_BENCH_FOLDER").expect("RELCOV_BENCH_FOLDER=FOLDER");
+    let pair = RenderedPair::new(folder.as_ref(), (width, height));
+    let input = pair.input();
+    let evidence = align(&input);
+    assert_eq!(evidence.no_verdict, None, "an alignment that comes to rest is timed");
+    let aligned = Pose::exp(&-evidence.finest().error) * input.source_from_target;
+    let rows = |pose: &Pose| pose.matrix().transpose().as_slice().to_vec();
+    let Pinhole { fx, fy, cx, cy, .. } = input.camera;
+    let description = serde_json::json!({
+        "images": pair.images,
+        "depths": pair.depths,
+        "intrinsics": [fx, fy, cx, cy],
+        "measured_source_from_target": rows(&input.source_from_target),
+        "aligned_source_from_target": rows(&aligned),
+        "true_source_from_target": rows(&pair.true_source_from_target()),
+    });
+    std::fs::write(Path::new(&folder).join("pair.json"), description.to_string()).expect("a folder to write to");
+    times(runs, || (0..pairs).into_par_iter().for_each(|_| drop(std::hint::black_box(align(&input)))))
 }
 
 /// The depth network's finest disparity, as `relcov depth` runs it.
@@ -151,6 +195,7 @@ fn latency([height, width]: [usize; 2], runs: usize, device: &Device) -> Vec<f64
             camera,
             source_from_target: Pose::exp(&Tangent::new(0.01, 0.0, 0.9, 0.0, 0.01, 0.0)),
             right: None,
+            camera_from_vehicle: None,
         };
         std::hint::black_box(model.predict(&measurement).expect("a covariance"));
     })

@@ -1,6 +1,8 @@
 //! Time of each stage: render, decode and resize, warp, prediction, loading, training step, and the whole
 //! training loop beside its bare step. `cargo bench`; sizes below are those of configs/kitti_sample.toml.
 
+mod rendered;
+
 use std::cell::RefCell;
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
@@ -11,6 +13,8 @@ use burn::optim::{GradientsAccumulator, ModuleOptimizer};
 use burn::tensor::{Device, Tensor};
 use burn::train::TrainStep;
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use rayon::prelude::*;
+use relcov::alignment::align;
 use relcov::config::Config;
 use relcov::data::{Dataset, PairBatch, PairReader, PairSample, PairScope, RgbImage, SplitName, read_image};
 use relcov::depth::ground_plane_depth;
@@ -21,6 +25,8 @@ use relcov::synthetic::{Replace, SyntheticSettings, record};
 use relcov::training::{Event, Learner};
 use relcov::warp::Warp;
 use relcov::{Measurement, Model};
+
+use rendered::RenderedPair;
 
 /// That of the program.
 #[global_allocator]
@@ -45,6 +51,7 @@ fn batch(pairs: usize, (width, height): (usize, usize), device: &Device) -> Pair
             source_from_target: Pose::exp(&Tangent::new(0.01, 0.0, 0.9, 0.0, 0.01, 0.0)),
             error: Tangent::new(0.04, 0.008, 0.009, 7e-4, 6e-4, 8e-4),
             right: None,
+            evidence: None,
         })
         .collect();
     PairBatch::new(&samples, device)
@@ -62,16 +69,41 @@ fn warp(criterion: &mut Criterion) {
     let device = Device::flex();
     let mut group = criterion.benchmark_group("warp");
     for size in SIZES {
-        let pairs = batch(8, size, &device);
+        let images = batch(8, size, &device).images.expect("included");
         group.throughput(Throughput::Elements(8));
         group.bench_function(BenchmarkId::from_parameter(format!("{}x{}x8", size.0, size.1)), |bencher| {
             bencher.iter(|| {
-                let pairs = pairs.clone();
+                let images = images.clone();
                 finish(
-                    Warp.forward(pairs.source_image, pairs.target_depth, pairs.intrinsics, pairs.source_from_target)
-                        .image,
+                    Warp.forward(
+                        images.source_image,
+                        images.target_depth,
+                        images.intrinsics,
+                        images.source_from_target,
+                    )
+                    .image,
                 );
             });
+        });
+    }
+}
+
+/// One pair on one thread, and as many pairs at once as keep every thread busy.
+fn alignment(criterion: &mut Criterion) {
+    const PAIRS: usize = 16;
+    let mut group = criterion.benchmark_group("alignment");
+    for (width, height) in [(192, 64), (512, 160)] {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let pair = RenderedPair::new(folder.path(), (width, height));
+        let input = pair.input();
+        assert_eq!(align(&input).no_verdict, None, "an alignment that comes to rest is timed");
+        group.throughput(Throughput::Elements(1));
+        group.bench_function(BenchmarkId::new("one pair, one thread", format!("{width}x{height}")), |bencher| {
+            bencher.iter(|| black_box(align(&input)));
+        });
+        group.throughput(Throughput::Elements(PAIRS as u64));
+        group.bench_function(BenchmarkId::new("16 pairs, all threads", format!("{width}x{height}")), |bencher| {
+            bencher.iter(|| (0..PAIRS).into_par_iter().for_each(|_| drop(black_box(align(&input)))));
         });
     }
 }
@@ -103,6 +135,7 @@ fn load(criterion: &mut Criterion) {
         camera,
         source_from_target: Pose::exp(&Tangent::new(0.01, 0.0, 0.9, 0.0, 0.01, 0.0)),
         right: None,
+        camera_from_vehicle: None,
     };
     let mut group = criterion.benchmark_group("load and predict first");
     group.sample_size(10);
@@ -150,7 +183,10 @@ fn training_step(criterion: &mut Criterion) {
             BenchmarkId::new("forward+backward", format!("{}x{}x{pairs}", size.0, size.1)),
             |bencher| {
                 bencher.iter(|| {
-                    black_box(TrainStep::step(&model, MicroBatch { pairs: batch.clone(), weight: 0.1 }).grads)
+                    black_box(
+                        TrainStep::step(&model, MicroBatch { pairs: batch.clone(), weight: 0.1, corrected_share: 0.5 })
+                            .grads,
+                    )
                 });
             },
         );
@@ -162,7 +198,10 @@ fn training_step(criterion: &mut Criterion) {
     let batch = batch(14, size, &device);
     let gradients = |model: &CovarianceModel| {
         let mut sum = GradientsAccumulator::new();
-        sum.accumulate(model, TrainStep::step(model, MicroBatch { pairs: batch.clone(), weight: 0.1 }).grads);
+        sum.accumulate(
+            model,
+            TrainStep::step(model, MicroBatch { pairs: batch.clone(), weight: 0.1, corrected_share: 0.5 }).grads,
+        );
         sum.grads()
     };
     // The benchmark's two closures need the model in turn.
@@ -225,7 +264,10 @@ fn training_loop(criterion: &mut Criterion) {
             let mut gradients = GradientsAccumulator::new();
             let network = model.take().expect("put back below");
             for _ in 0..config.training.batch / config.training.micro_batch {
-                let output = TrainStep::step(&network, MicroBatch { pairs: part.clone(), weight: 1.0 / pairs as f32 });
+                let output = TrainStep::step(
+                    &network,
+                    MicroBatch { pairs: part.clone(), weight: 1.0 / pairs as f32, corrected_share: 0.5 },
+                );
                 gradients.accumulate(&network, output.grads);
                 finish(output.item.loss);
             }
@@ -275,5 +317,5 @@ fn render(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(stages, render, decode, warp, forward, load, training_step, training_loop);
+criterion_group!(stages, render, decode, warp, alignment, forward, load, training_step, training_loop);
 criterion_main!(stages);

@@ -9,10 +9,12 @@
     uv run data_scripts/bench_peer.py --only forward         # lines whose name holds a word; prints only
     uv run data_scripts/bench_peer.py --depth                # the depth network's table alone
     uv run data_scripts/bench_peer.py --latency              # one pair from end to end alone
+    uv run --with open3d data_scripts/bench_peer.py --alignment   # the alignment alone, beside Open3D
     uv run data_scripts/bench_peer.py --gpu vulkan cuda      # PyTorch CUDA beside these devices of relcov;
                                                              # writes docs/results/gpu.md
 
-Without uv: pip install torch numpy opencv-python-headless, then python data_scripts/bench_peer.py.
+Without uv: pip install torch numpy opencv-python-headless (open3d for the alignment), then
+python data_scripts/bench_peer.py.
 
 Each measurement is a process of its own, so that peak memory is that of the case; relcov's and
 PyTorch's take turns for several rounds, and the medians of all rounds are compared. PyTorch runs eagerly
@@ -22,7 +24,9 @@ and once with its fused one. Both sides get the same number of threads.
 
 import argparse
 import datetime
+import importlib.util
 import json
+import math
 import os
 import platform
 import re
@@ -30,6 +34,7 @@ import resource
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -54,6 +59,11 @@ DEPTH_CASES = [
 ]
 # One pair from end to end: two JPEG files of KITTI's size, depth given.
 LATENCY_CASES = [("latency", 160, 512, 1, 200, 0.50), ("latency", 96, 320, 1, 200, 0.50)]
+# Height, width, pairs at once (0: one alone on one thread), runs in a process, aimed ratio to Open3D's time.
+ALIGNMENT_CASES = [(160, 512, 0, 100, 0.50), (160, 512, 16, 20, 0.50), (64, 192, 0, 300, 0.50), (64, 192, 16, 60, 0.50)]
+# Open3D's iterations on each level, coarse to fine; relcov takes as many as it needs to come to rest, at most eight, and
+# on the finest level twice.
+ALIGNMENT_ITERATIONS = [5, 5, 5]
 # Where the two files are, unless --images names others.
 LATENCY_IMAGES = "../shared/kitti/2011_09_30/2011_09_30_drive_0018_sync/image_02/data/000000000{}.jpg"
 # Mode, height, width, batch, runs, threads; None: all of them.
@@ -150,6 +160,52 @@ def torch_latency(torch, height, width):
     return run
 
 
+def open3d_measurement(runs):
+    """RGB-D odometry by the colour term: the pair that relcov described in pair.json, from the measured pose on."""
+    import numpy
+    import open3d
+
+    pair = json.loads((Path(os.environ["RELCOV_BENCH_FOLDER"]) / "pair.json").read_text())
+    image = open3d.geometry.Image
+    odometry = open3d.pipelines.odometry
+    frames = []
+    for name, depth in zip(pair["images"], pair["depths"]):
+        colour = numpy.asarray(open3d.io.read_image(name), numpy.float32) / 255
+        grey = (colour @ numpy.array([0.299, 0.587, 0.114], numpy.float32)).astype(numpy.float32)
+        frame = open3d.geometry.RGBDImage()
+        frame.color = image(grey)
+        frame.depth = image(numpy.asarray(open3d.io.read_image(depth), numpy.float32) / 256)
+        frames.append(frame)
+    height, width = grey.shape
+    camera = open3d.camera.PinholeCameraIntrinsic(width, height, *pair["intrinsics"])
+    option = odometry.OdometryOption(open3d.utility.IntVector(ALIGNMENT_ITERATIONS), depth_diff_max=1.0, depth_min=0.0, depth_max=1000.0)
+    measured = numpy.array(pair["measured_source_from_target"]).reshape(4, 4)
+    jacobian = odometry.RGBDOdometryJacobianFromColorTerm()
+    source, target = frames
+    # Its "source" is the frame whose points are moved.
+    run = lambda: odometry.compute_rgbd_odometry(target, source, camera, measured, jacobian, option)
+    success, aligned, _ = run()
+    if not success:
+        sys.exit("Open3D's odometry failed")
+    print(json.dumps({**timed(run, runs), "peak_mb": 0, "before_mb": 0, "version": open3d.__version__,
+                      "aligned_source_from_target": numpy.asarray(aligned).flatten().tolist()}))
+
+
+def timed(run, runs, finish=lambda: None):
+    """Times of `run`, ms, after three that do not count."""
+    for _ in range(3):
+        run()
+    times = []
+    for _ in range(runs):
+        finish()
+        begin = time.perf_counter()
+        run()
+        finish()
+        times.append((time.perf_counter() - begin) * 1e3)
+    late = sorted(times)[-(-len(times) * 99 // 100) - 1]
+    return {"median_ms": statistics.median(times), "least_ms": min(times), "p99_ms": late}
+
+
 def torch_measurement(mode, height, width, batch, runs, layout, adam, device, precision):
     import torch
 
@@ -199,19 +255,9 @@ def torch_measurement(mode, height, width, batch, runs, layout, adam, device, pr
                 optimiser.step()
                 loss.item()
 
-    for _ in range(3):
-        run()
-    times = []
-    for _ in range(runs):
-        finish()
-        begin = time.perf_counter()
-        run()
-        finish()
-        times.append((time.perf_counter() - begin) * 1e3)
+    measured = timed(run, runs, finish)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    late = sorted(times)[-(-len(times) * 99 // 100) - 1]
-    print(json.dumps({"median_ms": statistics.median(times), "least_ms": min(times), "p99_ms": late, "peak_mb": peak, "before_mb": before,
-                      "version": torch.__version__}))
+    print(json.dumps({**measured, "peak_mb": peak, "before_mb": before, "version": torch.__version__}))
 
 
 def rss_mb():
@@ -374,6 +420,40 @@ def latency_table(binary, rounds, images):
     return lines
 
 
+def alignment_table(binary, rounds):
+    heads = ["case", "Open3D, ms a pair", "relcov, ms a pair", "relcov / Open3D", "aim", "error measured", "left by Open3D", "left by relcov"]
+    lines = [row(heads), "|---" * len(heads) + "|"]
+    version = None
+    with tempfile.TemporaryDirectory() as folder:
+        for height, width, pairs, runs, aim in ALIGNMENT_CASES:
+            place = Path(folder) / f"{width}x{height}"
+            os.environ["RELCOV_BENCH_FOLDER"] = str(place)
+            threads = cores() if pairs else 1
+            case = ("alignment", height, width, max(pairs, 1), runs)
+            peer = [sys.executable, __file__, "--worker", "open3d", "0", "0", "1", str(max(runs // 5, 5))]
+            # relcov first: it renders the pair.
+            sides = {"relcov": lambda: relcov(binary, *case, threads=threads), "open3d": lambda: run_json(peer, OMP_NUM_THREADS=str(threads))}
+            found = {side: median_of(found) for side, found in take_turns(sides, rounds).items()}
+            pair = json.loads((place / "pair.json").read_text())
+            version = found["open3d"]["version"]
+            ours, theirs = found["relcov"]["median_ms"] / max(pairs, 1), found["open3d"]["median_ms"]
+            left = [distance(pose, pair["true_source_from_target"]) for pose in
+                    (pair["measured_source_from_target"], found["open3d"]["aligned_source_from_target"], pair["aligned_source_from_target"])]
+            name = f"{width}x{height}, " + (f"{pairs} pairs on {threads} threads" if pairs else "one pair on one thread")
+            lines.append(row([name, f"{theirs:.2f}", f"{ours:.2f}", f"**{ours / theirs:.2f}**", f"{aim:.2f}", *left]))
+            print(lines[-1], flush=True)
+    return [*lines, "", f"{processor()}, {cores()} cores, {platform.system()}; Open3D {version}; {datetime.date.today().isoformat()}; "
+                        f"medians of {rounds} rounds."]
+
+
+def distance(pose, other):
+    """Way and angle between two poses, rows of 4x4 matrices."""
+    way = math.dist(pose[3:12:4], other[3:12:4])
+    # The trace of the one rotation times the other's transpose; a half sine is exact for small angles.
+    half_sine = math.sqrt(sum((pose[k] - other[k]) ** 2 for k in range(12) if k % 4 < 3) / 8)
+    return f"{way * 100:.2g} cm, {2000 * math.asin(min(half_sine, 1.0)):.2g} mrad"
+
+
 def scaling_table(binary, rounds):
     heads = ["case", "threads", "PyTorch (channels last, fused Adam), ms", "relcov, ms", "relcov / PyTorch", "relcov, ms a pair",
              "memory: PyTorch, MB", "relcov, MB"]
@@ -443,12 +523,15 @@ def write_page(tables):
 def main():
     if sys.argv[1:2] == ["--worker"]:
         mode, *numbers = sys.argv[2:7]
+        if mode == "open3d":
+            return open3d_measurement(int(numbers[3]))
         return torch_measurement(mode, *map(int, numbers), *sys.argv[7:11])
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=4, help="turns of each side (default 4)")
     parser.add_argument("--only", help="measure the lines whose name holds this, and print only")
     parser.add_argument("--depth", action="store_true", help="measure the depth network alone")
     parser.add_argument("--latency", action="store_true", help="measure one pair from end to end alone")
+    parser.add_argument("--alignment", action="store_true", help="measure the alignment alone (needs open3d)")
     parser.add_argument("--images", nargs=2, help="the two image files of --latency (default: of KITTI's drive 0018)")
     parser.add_argument("--no-scaling", action="store_true", help="leave the scaling table as it is")
     parser.add_argument("--gpu", nargs="+", metavar="DEVICE", help="devices of relcov to compare with PyTorch on a GPU")
@@ -459,7 +542,12 @@ def main():
     if arguments.gpu:
         return gpu_table(arguments.gpu, arguments.torch_device, arguments.rounds, arguments.gpu_shape)
     if not arguments.only:
-        check_page(["machine", "comparison", "scaling", "depth", "latency"])
+        check_page(["machine", "comparison", "scaling", "depth", "latency", "alignment"])
+    has_open3d = importlib.util.find_spec("open3d") is not None
+    if arguments.alignment:
+        if not has_open3d:
+            sys.exit("Open3D is not installed: uv run --with open3d data_scripts/bench_peer.py --alignment, or pip install open3d")
+        return write_page({"alignment": alignment_table(build(), arguments.rounds)})
     images = arguments.images or [str((ROOT / LATENCY_IMAGES.format(frame)).resolve()) for frame in range(2)]
     if not arguments.only and (missing := [name for name in images if not Path(name).is_file()]):
         sys.exit(f"{missing[0]}: no such file; --images names two JPEG files for --latency")
@@ -474,6 +562,10 @@ def main():
         return
     tables = {"comparison": main_lines, "depth": depth_lines, "latency": latency_table(binary, arguments.rounds, images)}
     scaling_rounds = max(1, arguments.rounds // 2)
+    if has_open3d:
+        tables["alignment"] = alignment_table(binary, arguments.rounds)
+    else:
+        print("Open3D is not installed: the alignment's table stays as it is", file=sys.stderr)
     if not arguments.no_scaling:
         tables["scaling"] = scaling_table(binary, scaling_rounds)
     tables["machine"] = [
