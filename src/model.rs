@@ -4,15 +4,16 @@
 
 mod input;
 
-use burn::module::Module;
+use burn::module::{Module, Param};
 use burn::tensor::{Device, Tensor};
 use burn::train::{TrainOutput, TrainStep};
+use nalgebra::Matrix6;
 use serde::{Deserialize, Serialize};
 
 use crate::alignment::{Evidence, FEATURES, NoVerdict};
 use crate::data::PairBatch;
 use crate::error::{Error, Result};
-use crate::geometry::{Covariance6, Posterior};
+use crate::geometry::{Covariance6, Posterior, Tangent};
 use crate::loss::{floored, gaussian_loss, posterior_loss};
 use crate::network::{
     CovarianceNetwork, CovarianceNetworkConfig, EvidenceTensors, Head, ImageNetwork, PosteriorTensors, posterior,
@@ -66,6 +67,8 @@ pub struct Architecture {
 pub struct CovarianceModel {
     warp: Warp,
     network: CovarianceNetwork,
+    /// Of the evidence, for a posterior: `[6]`, in units of `sigma` for each metre of measured way.
+    drift: Option<Param<Tensor<1>>>,
     #[module(skip)]
     architecture: Architecture,
     /// Of the training set, m and rad: units of the full head.
@@ -112,6 +115,10 @@ impl Architecture {
         CovarianceModel {
             warp: Warp,
             network: network.init(initial_log_variance, device),
+            drift: (self.head == Head::Posterior).then(|| {
+                let still = Tensor::zeros([COMPONENTS], device);
+                Param::from_tensor(still).set_require_grad(true)
+            }),
             architecture: self.clone(),
             sigma: initial_log_variance.map(|d| (0.5 * d).exp()),
         }
@@ -122,7 +129,7 @@ impl CovarianceModel {
     /// Predicts covariances: `d = network(I_{i+1}, warp(I_i, ⁱT̂ᵢ₊₁))` (paper Fig. 2), or what another head puts out.
     ///
     /// # Shapes
-    /// - returns: `[batch, outputs]` as [`Head`] says: first d or p, ln m² and ln rad², order ρ then φ, axes of the
+    /// - returns: `[batch, values]` as [`Head`] says: first d or p, ln m² and ln rad², order ρ then φ, axes of the
     ///   model's error frame
     pub fn forward(&self, pairs: &PairBatch) -> Tensor<2> {
         let outputs = self.network.forward(self.architecture.network_input(&self.warp, pairs));
@@ -139,9 +146,19 @@ impl CovarianceModel {
             Head::Posterior => {
                 // Residuals of neighbouring pixels are never worth more than independent ones.
                 let no_less = Tensor::zeros([1, more], &outputs.device());
-                Tensor::cat(vec![first, floored(outputs.narrow(1, COMPONENTS, more), no_less)], 1)
+                let distrust = floored(outputs.narrow(1, COMPONENTS, more), no_less);
+                Tensor::cat(vec![first, distrust, self.drift_of(pairs)], 1)
             }
         }
+    }
+
+    /// How far the evidence of pairs is off on average, `[batch, 6]`, m and rad: what pixels that are off the same way in
+    /// every picture (a grazing road, a coarse depth map) add up to, as the way grows.
+    fn drift_of(&self, pairs: &PairBatch) -> Tensor<2> {
+        let drift = self.drift.as_ref().expect("a posterior has one").val();
+        let sigma = Tensor::<1>::from_floats(self.sigma.map(|sigma| sigma as f32), &drift.device());
+        let way = pairs.motion.clone().narrow(1, 0, 3).square().sum_dim(1).sqrt();
+        way * (drift * sigma).unsqueeze::<2>()
     }
 
     /// Outputs as [`CovarianceModel::forward`] gives them, and the loss of each pair (paper Eq. 7, or that of
@@ -170,7 +187,7 @@ impl CovarianceModel {
     /// # Errors
     /// An output is not finite, or a variance is too small or too large for a number: the weights are not usable.
     pub fn estimates(&self, outputs: &[f64], evidence: &[Option<Evidence>]) -> Result<Vec<Estimate>> {
-        let rows = outputs.chunks_exact(self.architecture.head.outputs());
+        let rows = outputs.chunks_exact(self.architecture.head.values());
         assert_eq!(rows.len(), evidence.len(), "one evidence, or none, a row of outputs");
         rows.zip(evidence).map(|(row, evidence)| self.estimate(row, evidence.as_ref())).collect()
     }
@@ -183,7 +200,10 @@ impl CovarianceModel {
             }
             Head::Posterior => {
                 let (estimate, information) = evidence.expect("a model with evidence is given it").judged();
-                let posterior = posterior(row, &estimate, &information).ok_or_else(|| unusable(row))?;
+                let judged = posterior(row, &estimate, &information).map(|posterior| (posterior, no_verdict));
+                // Information beyond all numbers is none.
+                let prior = || Some((posterior(row, &Tangent::zeros(), &Matrix6::zeros())?, Some(NoVerdict::Diverged)));
+                let (posterior, no_verdict) = judged.or_else(prior).ok_or_else(|| unusable(&[f64::NAN; 6]))?;
                 Estimate { covariance: posterior.second_moment(), posterior: Some(posterior), no_verdict }
             }
         };

@@ -16,10 +16,12 @@ const NOISE: f64 = 0.5 / 255.0;
 /// Logarithms span some ±10.
 const LOG_SCALE: f64 = 0.3;
 
-/// Features of evidence and measured motion, both in axes of the errors; S = Λ⁻¹, levels from coarse to fine.
+/// Features of evidence, in axes of the errors, and of the measured motion, in those of the camera; S = Λ⁻¹, levels from
+/// coarse to fine; in the order of the array.
 ///
 /// | number | feature | what it tells |
 /// |---|---|---|
+/// | 6 | `ln(\|motion\|/unit + .1)` | what the measurement says: some systems' errors follow it |
 /// | 1 | whether there is a verdict; without one all others but the motion are 0 | |
 /// | 18 | `ln(1 + \|ê\|/√S)` of each level | how certainly the measurement is wrong |
 /// | 12 | `ln(1 + \|ê_level − ê_finest\|/√S_finest)` of the coarser levels | whether the levels agree |
@@ -30,7 +32,6 @@ const LOG_SCALE: f64 = 0.3;
 /// | 2 | gain and bias | change of light |
 /// | 6 | `ln(√S_finest/unit)` | back to metres: how much the images show here |
 /// | 6 | `ln(\|ê\|/unit + .01)` | back to metres: how large the error seems |
-/// | 6 | `ln(\|motion\|/unit + .1)` | what the measurement says: some systems' errors follow it |
 pub fn features(evidence: &Evidence, motion: &Tangent) -> [f32; FEATURES] {
     let mut list = Features { values: [0.0; FEATURES], filled: 0 };
     list.logs((0..6).map(|c| motion[c].abs() / UNIT[c] + 0.1));

@@ -28,6 +28,9 @@ const DAMPING: f64 = 1e-4;
 const MOST_GAIN: f64 = 0.8;
 /// Longest step, m relative to the median depth, and rad.
 const LONGEST_STEP: f64 = 0.3;
+/// Largest residual after alignment, relative to the contrast of the target, that still shows the same scene: pictures of
+/// different places have some .4 to .6, aligned ones below .2.
+const MOST_UNEXPLAINED: f64 = 0.35;
 /// Least RMS gradient of an image that shows anything, 1/px.
 const LEAST_GRADIENT: f64 = 0.5 / 255.0;
 
@@ -119,7 +122,11 @@ pub fn align(input: &AlignmentInput) -> Evidence {
         };
         if index == LEVELS - 1 {
             (evidence.gain, evidence.bias) = (state.gain, state.bias);
-            evidence.no_verdict = verdict(&aligned, least(level), before);
+            let unexplained = f64::from(aligned.scale) / contrast(target_image);
+            evidence.no_verdict = match verdict(&aligned, least(level), before) {
+                None if unexplained > MOST_UNEXPLAINED => Some(NoVerdict::Diverged),
+                verdict => verdict,
+            };
         }
     }
     evidence
@@ -245,6 +252,14 @@ fn shows_anything(image: &Textured) -> bool {
         squares += f64::from(along_row * along_row + along_column * along_column);
         squares > enough
     })
+}
+
+/// Standard deviation of the intensities, no less than that of noise.
+fn contrast(image: &GreyImage) -> f64 {
+    let count = image.pixels.len() as f64;
+    let mean = image.pixels.iter().map(|&grey| f64::from(grey)).sum::<f64>() / count;
+    let squares = image.pixels.iter().map(|&grey| (f64::from(grey) - mean).powi(2)).sum::<f64>();
+    (squares / count).sqrt().max(f64::from(LEAST_RESIDUAL))
 }
 
 /// How the area that points of the target take changes from its view to that of the source: the ratio of the

@@ -21,14 +21,14 @@ const PRODUCTS: usize = COLUMNS * (COLUMNS + 1) / 2;
 /// Degrees of freedom of Student's t, which residuals of real images follow (Kerl, Sturm and Cremers 2013).
 pub(super) const DEGREES_OF_FREEDOM: f32 = 5.0;
 /// Standardised residuals from here on have no weight: things that move, or that one view hides.
-const OUTLIER: f32 = 3.0;
+const OUTLIER: f32 = 2.0;
 /// Least depth in the source camera, m.
 const MIN_DEPTH_M: f32 = 1e-3;
 
 /// Width and height of a tile, px.
 const TILE: usize = 8;
 /// Displacement of a tile, px, that depth, sampling and light explain.
-const STILL_PX: f32 = 0.5;
+const STILL_PX: f32 = 0.25;
 
 /// Target pixels of known depth: points in camera axes, m, and what the target image shows there. Padded with points
 /// behind every camera to a whole number of chunks.
@@ -40,7 +40,7 @@ pub(super) struct Points {
     /// How far each is believed to stand still, 0…1; a factor on its weight.
     still: Vec<f32>,
     /// Tile of the target image that each lies in, and its squared gradient there, 1/px²; no padding.
-    tile: Vec<u16>,
+    tile: Vec<u32>,
     squared_gradient: Vec<f32>,
     tiles: usize,
     /// How many are no padding.
@@ -67,7 +67,7 @@ impl Points {
                 y[known] = ray_y * depth;
                 z[known] = depth;
                 grey[known] = value;
-                tile[known] = (first_tile + column / TILE) as u16;
+                tile[known] = (first_tile + column / TILE) as u32;
                 squared_gradient[known] = along_row * along_row + along_column * along_column;
                 known += usize::from(depth > 0.0 && depth < f32::INFINITY);
             }
@@ -99,7 +99,7 @@ impl Points {
         let mut sums = vec![[0.0f32; 2]; self.tiles];
         for ((&tile, &r), &squared_gradient) in self.tile.iter().zip(residuals).zip(&self.squared_gradient) {
             if !r.is_nan() {
-                let [excess, gradients] = &mut sums[usize::from(tile)];
+                let [excess, gradients] = &mut sums[tile as usize];
                 *excess += r * r - noise * noise;
                 *gradients += squared_gradient;
             }
@@ -109,7 +109,7 @@ impl Points {
         };
         let trust: Vec<f32> = sums.into_iter().map(trust).collect();
         for (still, &tile) in self.still.iter_mut().zip(&self.tile) {
-            *still = trust[usize::from(tile)].powi(2);
+            *still = trust[tile as usize].powi(2);
         }
     }
 }

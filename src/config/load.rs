@@ -75,6 +75,17 @@ impl Config {
         Self { systems: vec![truth], depth: DepthConfig::default(), ..self.clone() }
     }
 
+    /// The same with the sizes of generated errors that its training data gave, so that they stay what they were
+    /// whatever data it is asked about later. `sizes`: for each system, where it is generated.
+    pub(crate) fn with_generated_sizes(mut self, sizes: &[Option<[f64; 6]>]) -> Self {
+        for (system, size) in self.systems.iter_mut().zip(sizes) {
+            if let (SystemSource::Perturbation(perturbation), Some(size)) = (&mut system.source, size) {
+                perturbation.base = Some(*size);
+            }
+        }
+        self
+    }
+
     /// Folder of this experiment's run.
     pub fn run_folder(&self) -> PathBuf {
         self.checkpoints.join(&self.name)

@@ -115,8 +115,9 @@ impl Config {
         for (index, system) in self.systems.iter().enumerate() {
             let SystemSource::Perturbation(PerturbationConfig { base }) = &system.source else { continue };
             let key = format!("systems.{index}.base");
-            let positive = base.iter().flatten().all(|&size| size.is_finite() && size > 0.0);
-            require(positive, &key, || format!("{base:?} must be positive sizes of errors, m and rad"))?;
+            let sizes = base.unwrap_or([1.0; 6]);
+            let positive = sizes.iter().all(|&size| size.is_finite() && size > 0.0);
+            require(positive, &key, || format!("{sizes:?} are no sizes of errors; all must be positive, m and rad"))?;
             let measured = self.systems.iter().any(|other| {
                 other.share > 0.0 && !matches!(other.source, SystemSource::Truth {} | SystemSource::Perturbation(_))
             });
@@ -261,6 +262,13 @@ impl Config {
         {
             require(value <= most, &format!("training.{key}"), || format!("{value} is more than {most}"))?;
         }
+        let left = self.model.network == ImageNetwork::None || training.evidence_epochs < training.epochs;
+        require(left, "training.evidence_epochs", || {
+            format!(
+                "{} of {} epochs leave none for images; raise training.epochs, or set model.network = \"none\"",
+                training.evidence_epochs, training.epochs
+            )
+        })?;
         let alone = training.evidence_epochs == 0 || self.model.evidence == EvidenceInput::Alignment;
         require(alone, "training.evidence_epochs", || "needs model.evidence = \"alignment\"".to_owned())?;
         let share = training.corrected_share;

@@ -34,6 +34,8 @@ pub struct Dataset {
     /// For each system: whether its measurements were rendered, so that the covariances they state are the
     /// true ones.
     pub simulated: Vec<bool>,
+    /// For each system: the middle size of its errors, where its measurements are generated; order ρ then φ, m and rad.
+    pub generated_sizes: Vec<Option<[f64; 6]>>,
     /// Pairs to learn from.
     pub train: Split,
     /// Pairs to watch.
@@ -202,7 +204,7 @@ impl Dataset {
         let systems = config.systems.len();
         let drives = pairing.into_drives();
         let mut splits = [train, validation, test];
-        generate(config, &drives, &mut splits)?;
+        let generated_sizes = generate(config, &drives, &mut splits)?;
         let [train, validation, test] = splits;
         let depth = network.map(|network| DepthCache::of(network).require(network, &drives)).transpose()?;
         let dataset = Self {
@@ -215,6 +217,7 @@ impl Dataset {
             validation: Split::new(SplitName::Validation, validation, systems),
             test: Split::new(SplitName::Test, test, systems),
             coverage,
+            generated_sizes,
         };
         dataset.refuse_overlap(&dataset.validation)?;
         dataset.refuse_overlap(&dataset.test)?;

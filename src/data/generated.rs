@@ -10,19 +10,30 @@ use crate::config::{Config, PerturbationConfig, SystemConfig, SystemSource};
 use crate::error::{Error, Result};
 use crate::systems::Perturbation;
 
-/// Gives the pairs of generated systems, true so far, the errors of their first draw. `splits` are train, validation and
-/// test.
+/// Gives the pairs of generated systems, true so far, the errors of their first draw; the size of their errors, for each
+/// system that is generated and has pairs. `splits` are train, validation and test.
 ///
 /// # Errors
 /// Nothing tells how large the errors shall be.
-pub(super) fn generate(config: &Config, drives: &[Drive], splits: &mut [Vec<Pair>; 3]) -> Result<()> {
+pub(super) fn generate(
+    config: &Config,
+    drives: &[Drive],
+    splits: &mut [Vec<Pair>; 3],
+) -> Result<Vec<Option<[f64; 6]>>> {
+    let mut sizes = vec![None; config.systems.len()];
     for (system, SystemConfig { name, source, .. }) in config.systems.iter().enumerate() {
         let SystemSource::Perturbation(PerturbationConfig { base }) = source else { continue };
+        if splits.iter().flatten().all(|pair| pair.system != system) {
+            // Without a true pose nothing can be generated; who needs the pairs says so.
+            continue;
+        }
         let base = match base {
             Some(base) => *base,
             None => typical_error(config, &splits[0]).ok_or_else(|| no_size(system, name))?,
         };
-        let perturbation = Arc::new(Perturbation::new(config.seed, base));
+        sizes[system] = Some(base);
+        let drive_names = drives.iter().map(|drive| drive.name.as_str());
+        let perturbation = Arc::new(Perturbation::new(config.seed, name, base, drive_names));
         for pair in splits.iter_mut().flatten().filter(|pair| pair.system == system) {
             let error = perturbation.draw(pair.id, 0);
             pair.source_from_target = pair.wrong_by(&error);
@@ -32,7 +43,7 @@ pub(super) fn generate(config: &Config, drives: &[Drive], splits: &mut [Vec<Pair
             pair.generated = Some(perturbation.clone());
         }
     }
-    Ok(())
+    Ok(sizes)
 }
 
 /// Root mean square of the errors of all measuring systems that are learned from; `None` where a component has none.

@@ -61,11 +61,19 @@ impl Prediction {
         Estimate { covariance: self.covariance, posterior: self.posterior, no_verdict: self.no_verdict }
     }
 
-    /// The loss of this pair (paper Eq. 7): `ln det R + eᵀR⁻¹e`.
-    pub fn loss(&self) -> f64 {
-        let (distance, log_determinant) =
-            self.covariance.mahalanobis(&self.error.into()).expect("predictions are positive");
-        distance + log_determinant
+    /// The loss of this pair, as training has it: `ln det R + eᵀR⁻¹e` (paper Eq. 7); of a posterior `corrected_share` of it
+    /// is `ln det C + (e − μ)ᵀC⁻¹(e − μ)`.
+    pub fn loss(&self, corrected_share: f64) -> f64 {
+        let score = |covariance: &Covariance6, error: &Tangent| {
+            let (distance, log_determinant) = covariance.mahalanobis(error).expect("predictions are positive");
+            distance + log_determinant
+        };
+        let error = Tangent::from(self.error);
+        let whole = score(&self.covariance, &error);
+        self.posterior.map_or(whole, |posterior| {
+            let corrected = score(&posterior.covariance, &(error - posterior.mean));
+            corrected_share * corrected + (1.0 - corrected_share) * whole
+        })
     }
 
     /// Diagonal of R, m² and rad².
@@ -113,9 +121,9 @@ pub fn predict_split(
 }
 
 /// Mean loss of one system's pairs; `None` without any.
-pub fn mean_loss(predictions: &[Prediction], system: usize) -> Option<f64> {
-    let losses: Vec<f64> =
-        predictions.iter().filter(|prediction| prediction.system == system).map(Prediction::loss).collect();
+pub fn mean_loss(predictions: &[Prediction], system: usize, corrected_share: f64) -> Option<f64> {
+    let of_system = predictions.iter().filter(|prediction| prediction.system == system);
+    let losses: Vec<f64> = of_system.map(|prediction| prediction.loss(corrected_share)).collect();
     (!losses.is_empty()).then(|| losses.iter().sum::<f64>() / losses.len() as f64)
 }
 

@@ -27,7 +27,7 @@ pub enum Head {
     /// set's standard deviations: `L[i][j] = l[i][j] σᵢ / σⱼ`.
     Full,
     /// Twelve values, p and q: what the system is like, `e ~ N(0, D(exp(p)))`, and how far the evidence may be trusted,
-    /// `ê = e + n` with `n ~ N(0, D(exp(q/2)) Λ⁻¹ D(exp(q/2)))`. By Bayes' rule `C⁻¹ = D(exp(−p)) + M`, `μ = C M ê` with
+    /// `ê = e + n` with `n ~ N(b, D(exp(q/2)) Λ⁻¹ D(exp(q/2)))`. By Bayes' rule `C⁻¹ = D(exp(−p)) + M`, `μ = C M (ê − b)` with
     /// `M = D(exp(−q/2)) Λ D(exp(−q/2))`, and `R = C + μ μᵀ`: full, positive definite by construction, and fine where
     /// the evidence knows nothing of a direction.
     Posterior,
@@ -40,6 +40,14 @@ impl Head {
             Self::Diagonal => COMPONENTS,
             Self::Full => COMPONENTS + BELOW_DIAGONAL,
             Self::Posterior => 2 * COMPONENTS,
+        }
+    }
+
+    /// Values that stand for a pair: those of the network, and for a posterior the drift b of its evidence.
+    pub fn values(self) -> usize {
+        match self {
+            Self::Diagonal | Self::Full => self.outputs(),
+            Self::Posterior => self.outputs() + COMPONENTS,
         }
     }
 
@@ -100,17 +108,18 @@ impl Head {
     }
 }
 
-/// What one row of [`Head::Posterior`]'s outputs and the evidence of its pair say of the error: order ρ then φ, m and
+/// What one row of [`Head::Posterior`]'s values (p, q and b) and the evidence of its pair say of the error: order ρ then φ, m and
 /// rad. `None` where the numbers have no inverse.
 pub fn posterior(outputs: &[f64], estimate: &Tangent, information: &Matrix6<f64>) -> Option<Posterior> {
-    assert_eq!(outputs.len(), Head::Posterior.outputs(), "one row of outputs");
+    assert_eq!(outputs.len(), Head::Posterior.values(), "one row of values");
+    let drift = Tangent::from_column_slice(&outputs[2 * COMPONENTS..]);
     let prior = Vector6::from_fn(|c, _| (-outputs[c]).exp());
     let trust = Matrix6::from_diagonal(&Vector6::from_fn(|c, _| (-0.5 * outputs[COMPONENTS + c]).exp()));
     let trusted = trust * information * trust;
     let factor = (Matrix6::from_diagonal(&prior) + 0.5 * (trusted + trusted.transpose())).cholesky()?;
     let covariance = factor.inverse();
     let covariance = Covariance6::from_matrix(0.5 * (covariance + covariance.transpose())).ok()?;
-    Some(Posterior { mean: factor.solve(&(trusted * estimate)), covariance })
+    Some(Posterior { mean: factor.solve(&(trusted * (estimate - drift))), covariance })
 }
 
 /// Place of an entry below the diagonal, row by row.

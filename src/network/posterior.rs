@@ -6,6 +6,10 @@ use burn::tensor::Tensor;
 const LIMIT: f32 = 40.0;
 /// Least pivot of the factorisation, relative to the diagonal: rounding in f32 leaves no less.
 const LEAST_PIVOT: f32 = 1e-6;
+/// Evidence counts up to this information and this size, in units of the training set's standard deviations: products
+/// of both stay f32 numbers.
+const LARGEST_INFORMATION: f32 = 1e10;
+const LARGEST_ESTIMATE: f32 = 1e6;
 const COMPONENTS: usize = 6;
 
 /// The evidence of a batch of pairs.
@@ -31,7 +35,7 @@ impl PosteriorTensors {
     /// Scores of errors under a batch's posteriors, in units of the training set's standard deviations inside.
     ///
     /// # Shapes
-    /// - `outputs`: `[batch, 12]`, p and q
+    /// - `outputs`: `[batch, 18]`, p, q and b
     /// - `error`: `[batch, 6]`, m and rad
     /// - `sigma`: of the training set, m and rad
     pub(crate) fn new(outputs: &Tensor<2>, evidence: &EvidenceTensors, error: Tensor<2>, sigma: &[f64; 6]) -> Self {
@@ -42,12 +46,16 @@ impl PosteriorTensors {
         let prior = limited(column(0) - unit.clone().log() * 2.0);
         let trust = (limited(column(COMPONENTS)) * -0.5).exp() * unit.clone();
         let weight = trust.reshape([batch, COMPONENTS, 1]);
+        let diagonal = Tensor::<2>::eye(COMPONENTS, &device).unsqueeze::<3>();
         let trusted = evidence.information.clone() * weight.clone() * weight.swap_dims(1, 2);
-        let estimate = (evidence.estimate.clone() / unit.clone()).reshape([batch, COMPONENTS, 1]);
+        let largest = (trusted.clone().detach() * diagonal.clone()).max_dim(1).max_dim(2);
+        let trusted = trusted * (largest.clamp_min(LARGEST_INFORMATION).recip() * LARGEST_INFORMATION);
+        let estimate = (evidence.estimate.clone() - column(2 * COMPONENTS)) / unit.clone();
+        let estimate = estimate.clamp(-LARGEST_ESTIMATE, LARGEST_ESTIMATE);
+        let estimate = estimate.reshape([batch, COMPONENTS, 1]);
         let mut right = trusted.clone().matmul(estimate);
         let error = (error / unit.clone()).reshape([batch, COMPONENTS, 1]);
 
-        let diagonal = Tensor::<2>::eye(COMPONENTS, &device).unsqueeze::<3>();
         let mut rest = trusted + diagonal * prior.neg().exp().reshape([batch, COMPONENTS, 1]);
         let (mut log_pivots, mut mean, mut whitened) = (Vec::new(), Vec::new(), Vec::new());
         // Cholesky's factorisation, right-looking: column after column of L, and with each a row of L⁻¹ b and Lᵀ e.
@@ -96,9 +104,9 @@ mod tests {
 
     const SIGMA: [f64; 6] = [0.08, 0.07, 0.09, 7e-3, 6e-3, 4e-3];
 
-    /// p and q, evidence and error of a pair.
+    /// p, q and b, evidence and error of a pair.
     struct Pair {
-        outputs: [f64; 12],
+        outputs: [f64; 18],
         estimate: Tangent,
         information: Matrix6<f64>,
         error: Tangent,
@@ -111,8 +119,10 @@ mod tests {
         let mixed =
             Matrix6::from_fn(|row, column| if row == column { 1.0 } else { 0.9 * ((3 * row + column) as f64).sin() });
         let error = size * Vector6::from(SIGMA).component_mul(&Vector6::new(1.0, -0.6, 0.3, 0.8, -1.2, 0.5));
-        let outputs = std::array::from_fn(|k| {
-            if k < 6 { 2.0 * SIGMA[k].ln() + 0.3 * k as f64 } else { 1.0 + 0.4 * (k as f64).cos() }
+        let outputs = std::array::from_fn(|k| match k {
+            0..6 => 2.0 * SIGMA[k].ln() + 0.3 * k as f64,
+            6..12 => 1.0 + 0.4 * (k as f64).cos(),
+            _ => 0.01 * SIGMA[k - 12] * (k as f64).sin(),
         });
         Pair {
             outputs,
@@ -139,7 +149,7 @@ mod tests {
     }
 
     fn value(pair: &Pair, share: f64) -> f64 {
-        let outputs = tensor(pair.outputs, [1, 12], &Device::flex());
+        let outputs = tensor(pair.outputs, [1, 18], &Device::flex());
         f64::from(loss(outputs, pair, share).into_scalar::<f32>())
     }
 
@@ -177,17 +187,20 @@ mod tests {
         let device = Device::flex().autodiff();
         for share in [0.0, 0.3, 1.0] {
             let pair = pair(1.0);
-            let outputs = tensor(pair.outputs, [1, 12], &device).require_grad();
+            let outputs = tensor(pair.outputs, [1, 18], &device).require_grad();
             let gradients = loss(outputs.clone(), &pair, share).sum().backward();
             let gradient: Vec<f32> = outputs.grad(&gradients).unwrap().into_data().iter().collect();
-            for k in 0..12 {
+            for k in 0..18 {
+                // The drift is in metres and radians.
+                let unit = if k < 12 { 1.0 } else { SIGMA[k - 12] };
                 let shifted = |by: f64| {
                     let mut outputs = pair.outputs;
-                    outputs[k] += by;
+                    outputs[k] += by * unit;
                     expected(&Pair { outputs, ..self::pair(1.0) }, share)
                 };
                 let difference = (shifted(1e-4) - shifted(-1e-4)) / 2e-4;
-                assert_relative_eq!(f64::from(gradient[k]), difference, epsilon = 0.02, max_relative = 0.01);
+                let gradient = f64::from(gradient[k]) * unit;
+                assert_relative_eq!(gradient, difference, epsilon = 0.02, max_relative = 0.01);
             }
         }
     }
@@ -199,7 +212,7 @@ mod tests {
             for (size, information) in [(0.0, 0.0), (1e3, 1.0), (1e3, 1e20), (1.0, 1e-20)] {
                 // A rank of one: what a single direction shows.
                 let pair = Pair { information: Matrix6::from_element(information), ..pair(size) };
-                let outputs = tensor([wild; 12], [1, 12], &device).require_grad();
+                let outputs = tensor([wild; 18], [1, 18], &device).require_grad();
                 let loss = loss(outputs.clone(), &pair, 0.5);
                 let gradients = loss.clone().sum().backward();
                 let gradient: Vec<f32> = outputs.grad(&gradients).unwrap().into_data().iter().collect();

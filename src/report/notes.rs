@@ -86,8 +86,12 @@ fn no_verdict_note(entry: &Entry) -> Option<String> {
     });
     let counts: Vec<String> = counts.collect();
     let name = &entry.name;
-    (!counts.is_empty())
-        .then(|| format!("{name}: no verdict from the images: {}; their covariance is the prior's.", counts.join(", ")))
+    (!counts.is_empty()).then(|| {
+        format!(
+            "{name}: no verdict from the images: {}; their covariance is what is expected without them.",
+            counts.join(", ")
+        )
+    })
 }
 
 /// What the table of separation says, in a line for each entry.

@@ -110,6 +110,8 @@ mod tests {
         let planned = (0..100).flat_map(|batch| mixer.plan(batch).pairs).filter(|planned| planned.pair < 100);
         let mut passes = vec![Vec::new(); 100];
         planned.for_each(|planned| passes[planned.pair].push(planned.pass));
+        // Within a batch the order is random.
+        passes.iter_mut().for_each(|passes| passes.sort_unstable());
         assert!(passes.iter().all(|passes| passes.iter().copied().eq(0..63)));
     }
 

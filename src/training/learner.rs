@@ -58,6 +58,7 @@ impl Learner {
     /// A split is empty, or the folder holds a run already or cannot be written.
     pub fn start(config: Config, dataset: Arc<Dataset>, device: &Device, replace: bool) -> Result<Self> {
         dataset.require(SplitName::Train)?;
+        let config = config.with_generated_sizes(&dataset.generated_sizes);
         let manifest = describe(&config, &dataset, device);
         let learner = Self::new(config, dataset, &manifest, device, |path| RunFolder::create(path, replace))?;
         learner.run.write_config(&learner.config)?;
@@ -71,6 +72,7 @@ impl Learner {
     /// The folder holds no state, or was made from other data or for another architecture.
     pub fn resume(config: Config, dataset: Arc<Dataset>, device: &Device, run: RunFolder) -> Result<Self> {
         dataset.require(SplitName::Train)?;
+        let config = config.with_generated_sizes(&dataset.generated_sizes);
         let manifest = run.manifest()?;
         if manifest.experiment_fingerprint != config.experiment_fingerprint() {
             return Err(Error::run(
@@ -259,14 +261,16 @@ impl Learner {
         let floor = self.architecture.floor_of_covariances();
         let at_floor = floor.map_or(0.0, |floor| share_at_floor(predictions.iter().map(|row| &row.covariance), &floor));
         let systems = self.config.systems.len();
-        if mean_loss(&predictions, watched_system(&self.config)).is_none() {
+        let share = self.config.training.corrected_share;
+        if mean_loss(&predictions, watched_system(&self.config), share).is_none() {
             let first = self.watched_reader.bad_frames().swap_remove(0);
             return Err(Error::Data(format!(
                 "not one watched pair can be read; {} frame {}: {}",
                 first.drive, first.frame, first.problem
             )));
         }
-        self.history.finish_epoch((0..systems).map(|system| mean_loss(&predictions, system)).collect(), at_floor);
+        let losses = (0..systems).map(|system| mean_loss(&predictions, system, share)).collect();
+        self.history.finish_epoch(losses, at_floor);
 
         let watched = self.history.evaluation_losses(watched_system(&self.config));
         let (newest, earlier) = watched.split_last().expect("the watched system has pairs");
@@ -329,7 +333,10 @@ impl Learner {
     fn stop_reason(&self) -> Option<StopReason> {
         let system = watched_system(&self.config);
         let rule = DivergenceRule::new(self.config.training.stop);
-        if rule.diverged(&self.history.training_losses(system), &self.history.evaluation_losses(system)) {
+        // Losses before images joined are of another stage, which its own epochs end.
+        let (training, evaluation) = (self.history.training_losses(system), self.history.evaluation_losses(system));
+        let first = self.stages().epochs_alone().min(training.len());
+        if rule.diverged(&training[first..], &evaluation[first..]) {
             return Some(StopReason::Diverged);
         }
         (self.history.rows.len() >= self.config.training.epochs).then_some(StopReason::AllEpochs)

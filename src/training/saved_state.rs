@@ -158,9 +158,12 @@ pub(super) fn read_records<M: Module>(
     let model = model.try_load_record(record).map_err(|error| damaged(folder, STATE_MODEL, &error))?;
     let record = OptimizerRecord::load(folder.join(STATE_OPTIMISER))
         .map_err(|error| damaged(folder, STATE_OPTIMISER, &error))?;
-    // Before its first step Adam keeps nothing.
-    let expected = if steps == 0 { 0 } else { ADAM_MOMENTS * weights };
-    if record.len() != expected {
+    // Adam keeps nothing of weights that no step has moved: before the first one, and of those that look at images while
+    // evidence alone is learned.
+    let fits = record.len() % ADAM_MOMENTS == 0
+        && record.len() <= ADAM_MOMENTS * weights
+        && (record.len() == 0) == (steps == 0);
+    if !fits {
         let found = format!("{} tensors for {weights} weights", record.len());
         return Err(damaged(folder, STATE_OPTIMISER, &found));
     }

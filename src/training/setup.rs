@@ -88,7 +88,8 @@ pub(super) fn constant_loss(dataset: &Dataset, watched: SplitName, manifest: &Ma
             let covariance = Covariance6::from_variances(&variances.into());
             let pairs = if usable { &split.pairs[range.clone()] } else { &[] };
             let constant: Vec<Prediction> = pairs.iter().map(|pair| Prediction::constant(pair, covariance)).collect();
-            mean_loss(&constant, index)
+            // A constant corrects nothing: the share does not matter.
+            mean_loss(&constant, index, 0.0)
         })
         .collect()
 }

@@ -19,11 +19,17 @@ pub(super) struct Stages {
 impl Stages {
     pub fn new(training: &TrainingConfig, batches_per_epoch: usize, images: Images) -> Self {
         let all = training.epochs * batches_per_epoch;
-        let alone = match images {
-            Images::Included => (training.evidence_epochs * batches_per_epoch).min(all),
+        let mut stages = Self { training: training.clone(), alone: 0, all, images };
+        stages.alone = (stages.epochs_alone() * batches_per_epoch).min(all);
+        stages
+    }
+
+    /// Epochs at the start that show evidence alone, where images join later.
+    pub fn epochs_alone(&self) -> usize {
+        match self.images {
+            Images::Included => self.training.evidence_epochs,
             Images::LeftOut => 0,
-        };
-        Self { training: training.clone(), alone, all, images }
+        }
     }
 
     /// Whether images are shown in a mini-batch.

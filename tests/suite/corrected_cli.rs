@@ -292,7 +292,11 @@ fn pairs_without_a_verdict_are_counted_and_written_as_they_are() {
     let arguments =
         ["--drive", &drive, "--measurements", &measurements, "--measurement-frame", "camera2", "--format", "jsonl"];
     let counted = contains("2 got no verdict from the images (no_texture 2)");
-    world.predict(&arguments).assert().success().stderr(counted.and(contains("with the prior's covariance")));
+    world
+        .predict(&arguments)
+        .assert()
+        .success()
+        .stderr(counted.and(contains("with the covariance that is expected without them")));
     let corrected = [&arguments[..], &["--corrected"]].concat();
     world.predict(&corrected).assert().success().stderr(contains("are written as they are"));
     let (as_they_are, corrected) = (world.lines(&arguments), world.lines(&corrected));

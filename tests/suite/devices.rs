@@ -138,8 +138,8 @@ fn compare_with_flex(device: &Device) {
         (architecture(InputBasis::Residual), 14),
         (extended(), 18),
         (raw(), 14),
-        (with_evidence(), 20),
-        (evidence_alone(), 8),
+        (with_evidence(), 21),
+        (evidence_alone(), 9),
     ] {
         let (loss, gradients) = training_step(&architecture, &open_device("flex").unwrap());
         let (other_loss, other_gradients) = training_step(&architecture, device);

@@ -9,7 +9,7 @@ use super::FuseArguments;
 use crate::cli::Terminal;
 use crate::cli::eval::{Recalibrate, baselines_of, fit_baselines, predict_table};
 use crate::cli::progress::note;
-use crate::config::Config;
+use crate::config::{Config, SystemConfig, SystemSource};
 use crate::data::{Dataset, SplitName};
 use crate::error::{Error, Result};
 use crate::evaluation::{Baselines, Method, PairTable, SystemPairs};
@@ -63,8 +63,14 @@ pub(super) fn predicted(arguments: &FuseArguments, split: SplitName, terminal: &
     let mut measured: Option<Measured> = None;
     for (index, (manifest, run)) in runs.iter().enumerate() {
         let mut config = arguments.overrides.load_for_run(arguments.config.as_deref(), run, manifest)?;
+        // Nobody measured what was generated.
+        let is_generated = |system: &SystemConfig| matches!(system.source, SystemSource::Perturbation(_));
         config.systems.retain(|system| {
-            serving(&system.name) == index && (arguments.system.is_empty() || arguments.system.contains(&system.name))
+            let asked = match arguments.system.is_empty() {
+                true => !is_generated(system),
+                false => arguments.system.contains(&system.name),
+            };
+            serving(&system.name) == index && asked
         });
         if config.systems.is_empty() {
             continue;

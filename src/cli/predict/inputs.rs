@@ -103,7 +103,11 @@ pub(super) fn lenient(arguments: &PredictArguments, mut config: Config) -> Confi
 
 /// One system alone, where it was asked for.
 pub(super) fn with_system(arguments: &PredictArguments, mut config: Config) -> Result<Config> {
-    let Some(name) = &arguments.system else { return Ok(config) };
+    let Some(name) = &arguments.system else {
+        // Nobody measured what was generated.
+        config.systems.retain(|system| !matches!(system.source, SystemSource::Perturbation(_)));
+        return Ok(config);
+    };
     let known: Vec<String> = config.systems.iter().map(|system| system.name.clone()).collect();
     config.systems.retain(|system| system.name == *name);
     if config.systems.is_empty() {

@@ -22,8 +22,8 @@ pub(super) fn describe_verdicts(predicted: &[MeasuredMotions], poses: Poses) -> 
     }
     let reasons: Vec<String> = reasons.iter().map(|(reason, count)| format!("{} {count}", reason.name())).collect();
     let written = match poses {
-        Poses::Measured => "with the prior's covariance",
-        Poses::Corrected => "as they are, with the prior's covariance",
+        Poses::Measured => "with the covariance that is expected without them",
+        Poses::Corrected => "as they are, with the covariance that is expected without them",
     };
     format!("; {lost} got no verdict from the images ({}) and are written {written}", reasons.join(", "))
 }
@@ -55,7 +55,7 @@ mod tests {
         let text = describe_verdicts(&[measured(&[depth, None]), measured(&[texture, texture])], Poses::Corrected);
         assert_eq!(
             text,
-            "; 3 got no verdict from the images (no_texture 2, no_depth 1) and are written as they are, with the prior's covariance"
+            "; 3 got no verdict from the images (no_texture 2, no_depth 1) and are written as they are, with the covariance that is expected without them"
         );
         assert_eq!(describe_verdicts(&[measured(&[None])], Poses::Measured), "");
     }
