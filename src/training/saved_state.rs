@@ -162,7 +162,7 @@ pub(super) fn read_records<M: Module>(
     // evidence alone is learned.
     let fits = record.len() % ADAM_MOMENTS == 0
         && record.len() <= ADAM_MOMENTS * weights
-        && (record.len() == 0) == (steps == 0);
+        && record.is_empty() == (steps == 0);
     if !fits {
         let found = format!("{} tensors for {weights} weights", record.len());
         return Err(damaged(folder, STATE_OPTIMISER, &found));
