@@ -160,9 +160,8 @@ pub(super) fn read_records<M: Module>(
         .map_err(|error| damaged(folder, STATE_OPTIMISER, &error))?;
     // Adam keeps nothing of weights that no step has moved: before the first one, and of those that look at images while
     // evidence alone is learned.
-    let fits = record.len() % ADAM_MOMENTS == 0
-        && record.len() <= ADAM_MOMENTS * weights
-        && record.is_empty() == (steps == 0);
+    let fits =
+        record.len() % ADAM_MOMENTS == 0 && record.len() <= ADAM_MOMENTS * weights && record.is_empty() == (steps == 0);
     if !fits {
         let found = format!("{} tensors for {weights} weights", record.len());
         return Err(damaged(folder, STATE_OPTIMISER, &found));
