@@ -95,7 +95,7 @@ impl CovarianceNetworkConfig {
 
     /// Builds the network with random weights; the last layer starts as a constant.
     ///
-    /// fc2 has zero weights and the bias that stands for `initial_log_variance` ([`Head::initial_outputs`]), so that
+    /// fc2 has zero weights and the bias that stands for `initial_log_variance`, so that
     /// the first prediction for every pair is the covariance of the training set. Beside evidence, images start without
     /// a say: fc1 is zero.
     pub fn init(&self, initial_log_variance: [f64; COMPONENTS], device: &Device) -> CovarianceNetwork {
