@@ -56,14 +56,14 @@ impl PosteriorTensors {
         let mut right = trusted.clone().matmul(estimate);
         let error = (error / unit.clone()).reshape([batch, COMPONENTS, 1]);
 
-        let mut rest = trusted + diagonal * prior.neg().exp().reshape([batch, COMPONENTS, 1]);
+        let mut rest = trusted + diagonal.clone() * prior.neg().exp().reshape([batch, COMPONENTS, 1]);
+        let least = (rest.clone().detach() * diagonal).sum_dim(2) * LEAST_PIVOT;
         let (mut log_pivots, mut mean, mut whitened) = (Vec::new(), Vec::new(), Vec::new());
         // Cholesky's factorisation, right-looking: column after column of L, and with each a row of L⁻¹ b and Lᵀ e.
         for done in 0..COMPONENTS {
             let left = COMPONENTS - done;
             let corner = rest.clone().slice([0..batch, 0..1, 0..1]);
-            let largest = rest.clone().slice([0..batch, 0..1, 0..1]).detach() * LEAST_PIVOT;
-            let pivot = corner.max_pair(largest.clamp_min(f32::MIN_POSITIVE)).sqrt();
+            let pivot = corner.max_pair(least.clone().slice([0..batch, done..done + 1, 0..1])).sqrt();
             let factor = rest.clone().slice([0..batch, 0..left, 0..1]) / pivot.clone();
             let solved = right.clone().slice([0..batch, 0..1, 0..1]) / pivot.clone();
             let errors = error.clone().slice([0..batch, done..COMPONENTS, 0..1]);
