@@ -92,7 +92,9 @@ fn alignment_sees_the_error_of_a_rendered_pair() {
     let dataset = dataset(&config);
     let reader = PairReader::new(&config, &dataset, SplitName::Train);
     let unit = Tangent::new(1.0, 0.6, -0.8, 0.1, 0.08, -0.1);
-    for pair in dataset.train.pairs_of(1).iter().step_by(6) {
+    let sizes = [1e-3, 1e-2, 1e-1];
+    let mut offs = sizes.map(|_| Vec::new());
+    for pair in dataset.train.pairs_of(1).iter().step_by(3) {
         let sample = reader.read(pair).unwrap().unwrap();
         let camera_from_errors = pair.errors_from_camera.inverse();
         let truth = Pose::exp(&-pair.error).conjugated_by(&camera_from_errors) * pair.source_from_target;
@@ -105,11 +107,17 @@ fn alignment_sees_the_error_of_a_rendered_pair() {
         };
         // What is seen of a measurement without error: the rest that depth, light and moving cars leave.
         let rest = estimate(&Tangent::zeros());
-        for size in [1e-3, 1e-2, 1e-1] {
-            let error = size * unit;
-            let off = (estimate(&error) - rest - error).component_div(&unit).abs().max();
-            assert!(off < 1e-3 + 0.1 * size, "frame {}, size {size}: off by {off}", pair.id.source);
+        for (size, offs) in sizes.iter().zip(&mut offs) {
+            let error = *size * unit;
+            offs.push((estimate(&error) - rest - error).component_div(&unit).abs().max());
         }
+    }
+    for (size, mut offs) in sizes.into_iter().zip(offs) {
+        offs.sort_by(f64::total_cmp);
+        let (median, worst) = (offs[offs.len() / 2], offs[offs.len() - 1]);
+        assert!(median < 3e-4 + 0.05 * size, "size {size}: off by {median} in the median of {} pairs", offs.len());
+        // A car that moves may be taken for still from one start and not from the other.
+        assert!(worst < 2e-3 + 0.3 * size, "size {size}: off by {worst}");
     }
 }
 

@@ -154,8 +154,8 @@ fn a_contact_sheet_shows_every_system_of_a_few_pairs() {
         .success()
         .stdout(contains("columns: source | target").and(contains("row 8:")).and(contains("row 9:").not()));
     let picture = image::open(&sheet).unwrap();
-    // Five pictures of 32x16, enlarged eight times, and the gaps between them.
-    assert_eq!((picture.width(), picture.height()), (5 * 260 + 4, 8 * 132 + 4));
+    // Six pictures of 32x16, enlarged eight times, and the gaps between them.
+    assert_eq!((picture.width(), picture.height()), (6 * 260 + 4, 8 * 132 + 4));
     relcov(&["inspect", "--config", text(&config), "--contact-sheet", "no/such/folder/sheet.png"])
         .assert()
         .code(1)
