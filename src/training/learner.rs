@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use burn::module::{Module, ModuleVisitor, Param};
+use burn::module::Module;
 use burn::optim::{GradientsAccumulator, ModuleOptimizer};
 use burn::tensor::{Device, Tensor};
 use burn::train::TrainStep;
@@ -246,11 +246,7 @@ impl Learner {
         }
         let learning_rate = stages.learning_rate(batch);
         let model = self.model.take().expect("put back by the step before");
-        let model = self.optimiser.step(learning_rate, model, gradients.grads());
-        if batch == 0 {
-            draw_all_weights(&model);
-        }
-        self.model = Some(model);
+        self.model = Some(self.optimiser.step(learning_rate, model, gradients.grads()));
         for (pair, loss) in learned.into_iter().zip(losses) {
             self.history.add(self.dataset.train.pairs[pair].system, loss);
         }
@@ -377,18 +373,6 @@ impl Learner {
         });
         BatchLoader::spawn(self.reader.clone(), Arc::new(split.pairs.clone()), requests, &self.config.training)
     }
-}
-
-/// Burn draws weights when they are first asked for: those of the images, which join later, are drawn in the first step
-/// whenever that run is saved or broken off.
-fn draw_all_weights(model: &CovarianceModel) {
-    struct Draw;
-    impl ModuleVisitor for Draw {
-        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-            param.val();
-        }
-    }
-    model.visit(&mut Draw);
 }
 
 /// Seed of dropout in one part of one mini-batch.
