@@ -5,8 +5,8 @@
 mod input;
 
 use burn::module::{Module, Param};
+use burn::optim::GradientsParams;
 use burn::tensor::{Device, Tensor};
-use burn::train::{TrainOutput, TrainStep};
 use nalgebra::Matrix6;
 use serde::{Deserialize, Serialize};
 
@@ -248,28 +248,12 @@ pub struct MicroBatch {
     pub corrected_share: f64,
 }
 
-/// What a step reports, for each pair of its batch.
-#[derive(Clone, Debug)]
-pub struct PairOutputs {
-    /// As [`CovarianceModel::forward`] gives them.
-    pub outputs: Tensor<2>,
-    /// `[batch]`, Eq. 7.
-    pub loss: Tensor<1>,
-}
-
-impl burn::train::ItemLazy for PairOutputs {
-    fn sync(self) -> Result<Self, burn::tensor::ExecutionError> {
-        Ok(self)
-    }
-}
-
-impl TrainStep for CovarianceModel {
-    type Input = MicroBatch;
-    type Output = PairOutputs;
-
-    fn step(&self, batch: MicroBatch) -> TrainOutput<PairOutputs> {
-        let (outputs, loss) = self.forward_loss(&batch.pairs, batch.corrected_share);
+impl CovarianceModel {
+    /// The forward and backward pass of a training step: Eq. 7 of each pair, `[batch]`, and the gradients of its share in
+    /// the mini-batch's mean loss.
+    pub fn step(&self, batch: &MicroBatch) -> (Tensor<1>, GradientsParams) {
+        let (_, loss) = self.forward_loss(&batch.pairs, batch.corrected_share);
         let gradients = (loss.clone().sum() * batch.weight).backward();
-        TrainOutput::new(self, gradients, PairOutputs { outputs: outputs.inner(), loss: loss.inner() })
+        (loss.inner(), GradientsParams::from_grads(gradients, self))
     }
 }

@@ -1,7 +1,7 @@
 //! The learner: mini-batches of several systems, Adam, evaluation after each epoch, and a stop when
 //! training and evaluation loss diverge (paper Section V-A).
 //!
-//! Built on Burn's training interfaces ([`TrainStep`], gradient accumulation, optimiser records) with
+//! Built on Burn's training interfaces (gradient accumulation, optimisers and their records) with
 //! a loop of its own, because a run must resume in the middle of an epoch to the same result.
 
 use std::sync::Arc;
@@ -11,7 +11,6 @@ use std::time::{Duration, Instant};
 use burn::module::Module;
 use burn::optim::{GradientsAccumulator, ModuleOptimizer};
 use burn::tensor::{Device, Tensor};
-use burn::train::TrainStep;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -231,9 +230,9 @@ impl Learner {
             let corrected_share = self.config.training.corrected_share;
             let weight = 1.0 / size as f32;
             let part = MicroBatch { pairs: numbers.upload(&self.device), weight, corrected_share };
-            let output = TrainStep::step(self.model(), part);
-            gradients.accumulate(self.model(), output.grads);
-            losses.push(output.item.loss);
+            let (loss, of_part) = self.model().step(&part);
+            gradients.accumulate(self.model(), of_part);
+            losses.push(loss);
             learned.extend(pairs);
         }
         let losses = read_values(Tensor::cat(losses, 0))?;

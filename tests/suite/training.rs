@@ -6,7 +6,6 @@ use std::sync::atomic::Ordering;
 use burn::module::Module;
 use burn::optim::GradientsAccumulator;
 use burn::tensor::Tensor;
-use burn::train::TrainStep;
 use relcov::config::Config;
 use relcov::data::{Dataset, PairBatch, PairReader, PairSample, PairScope, SplitName};
 use relcov::device::open_device;
@@ -55,7 +54,7 @@ fn micro_batches_give_the_gradient_of_the_whole_batch() {
         for part in samples.chunks(samples.len() / parts) {
             let pairs = PairBatch::new(part, &device);
             let batch = MicroBatch { pairs, weight: 1.0 / samples.len() as f32, corrected_share: 0.5 };
-            accumulator.accumulate(&model, TrainStep::step(&model, batch).grads);
+            accumulator.accumulate(&model, model.step(&batch).1);
         }
         let mut all = Flatten { gradients: accumulator.grads(), values: Vec::new() };
         model.visit(&mut all);
