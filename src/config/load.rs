@@ -53,6 +53,10 @@ impl Config {
                 ),
             }
         })?;
+        // The default names a folder of the current one; the run's own copy must not take it for one of its own.
+        config.checkpoints = std::path::absolute(&config.checkpoints).map_err(|_| {
+            Error::config("checkpoints", "is empty; leave it out for `checkpoints` in the current folder")
+        })?;
         config.name_depth_cache();
         config.validate()?;
         Ok(config)
