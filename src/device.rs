@@ -7,6 +7,50 @@ use crate::error::{Error, Result};
 /// Names that `--device` accepts, for help texts.
 pub const DEVICE_NAMES: &str = "auto | flex | ndarray | wgpu | vulkan | cuda[:i]";
 
+/// Backends by their names for `--device`, which are also those of their cargo features, and whether this program was
+/// built with them.
+pub const BACKENDS: [(&str, bool); 5] = [
+    ("flex", cfg!(feature = "flex")),
+    ("ndarray", cfg!(feature = "ndarray")),
+    ("wgpu", cfg!(feature = "wgpu")),
+    ("vulkan", cfg!(feature = "vulkan")),
+    ("cuda", cfg!(feature = "cuda")),
+];
+
+/// What there is of a backend.
+pub enum Presence {
+    /// A device that [`open_device`] opens.
+    Found {
+        /// The part's own name; `CPU` where it has none.
+        part: String,
+        /// The device itself.
+        device: Device,
+    },
+    /// This program was built without it.
+    NotBuiltIn,
+    /// The system shows no GPU.
+    NoGpu,
+    /// It is built in and cannot be used.
+    Unusable(Error),
+}
+
+/// Looks for a device of each of [`BACKENDS`]; for GPUs where the system shows one.
+pub fn look_for_devices() -> Vec<(&'static str, Presence)> {
+    let presence = |name: &str, built_in: bool| {
+        if !built_in {
+            return Presence::NotBuiltIn;
+        }
+        if !matches!(name, "flex" | "ndarray") && !may_have_gpu() {
+            return Presence::NoGpu;
+        }
+        match open_device(name) {
+            Ok(device) => Presence::Found { part: part(&device), device },
+            Err(error) => Presence::Unusable(error),
+        }
+    };
+    BACKENDS.into_iter().map(|(name, built_in)| (name, presence(name, built_in))).collect()
+}
+
 /// Opens a device by name.
 ///
 /// `auto` is a real GPU when one is there (never a software rasteriser), else flex.
@@ -43,8 +87,23 @@ pub fn is_slow_to_train(device: &Device) -> bool {
 fn not_compiled(name: &str, feature: &str) -> Error {
     Error::Device {
         name: name.to_owned(),
-        problem: format!("this backend is not compiled in; build with `--features {feature}`"),
+        problem: format!("this program was built without it; {}", how_to_build(feature)),
     }
+}
+
+/// How to come by a program with this backend.
+pub(crate) fn how_to_build(feature: &str) -> String {
+    format!("build it in: cargo build --release --features {feature} (or cargo install --path . --features {feature})")
+}
+
+#[cfg(any(feature = "wgpu", feature = "cuda"))]
+fn part(device: &Device) -> String {
+    device.identity().map_or("CPU".to_owned(), |identity| identity.name)
+}
+
+#[cfg(not(any(feature = "wgpu", feature = "cuda")))]
+fn part(_: &Device) -> String {
+    "CPU".to_owned()
 }
 
 #[cfg(feature = "flex")]
@@ -143,15 +202,20 @@ fn auto() -> Result<Device> {
     {
         return Ok(device);
     }
-    // Burn's training crate always brings flex along.
-    #[cfg(feature = "flex")]
-    crate::kernels::Instructions::chosen()?;
-    Ok(Device::flex())
+    if cfg!(feature = "flex") {
+        flex("auto")
+    } else if cfg!(feature = "ndarray") {
+        ndarray("auto")
+    } else {
+        Err(Error::Device {
+            name: "auto".to_owned(),
+            problem: format!("no GPU was found; for the CPU, {}", how_to_build("flex")),
+        })
+    }
 }
 
 /// Linux shows a GPU as a device file. Without one nothing is probed: drivers that are installed on a
 /// machine without a GPU write alarming lines to stderr.
-#[cfg(feature = "wgpu")]
 fn may_have_gpu() -> bool {
     let files = ["/dev/dri", "/dev/nvidiactl", "/dev/dxg", "/dev/mali0"];
     !cfg!(target_os = "linux") || files.iter().any(|file| std::path::Path::new(file).exists())

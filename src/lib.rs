@@ -55,3 +55,6 @@ pub use predict::{Judgement, Measurement, Model, RightView, Stream, StreamSettin
 
 #[doc(hidden)]
 pub mod cli;
+
+/// The commit this was built from, where that is known.
+pub(crate) const COMMIT: Option<&str> = option_env!("RELCOV_GIT_COMMIT");

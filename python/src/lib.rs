@@ -1,6 +1,7 @@
 //! The native half of the Python package `relcov`: bytes and numbers in, numbers out. `relcov/__init__.py` gives it its
 //! face, in numpy arrays.
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 
 use nalgebra::{Matrix3, SMatrix, Vector3};
@@ -10,6 +11,10 @@ use relcov::data::RgbImage;
 use relcov::depth::{DepthMap, LiveDepth};
 use relcov::geometry::{Pinhole, Pose};
 use relcov::{Error, Judgement, Measurement, RightView};
+
+/// As the program's: training frees and takes the same large buffers in every step.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 /// Largest `|RᵀR − I|` of a rotation.
 const ROTATION_TOLERANCE: f64 = 1e-3;
@@ -190,10 +195,17 @@ impl NativeModel {
     }
 }
 
+/// The command line: its arguments, the first being its name; returns its exit code.
+#[pyfunction]
+fn run_command(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
+    py.detach(|| relcov::cli::run_with(arguments))
+}
+
 #[pymodule]
 fn _relcov(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add_class::<NativeModel>()?;
     module.add_class::<NativeJudgement>()?;
-    module.add_class::<NativeEvidence>()
+    module.add_class::<NativeEvidence>()?;
+    module.add_function(wrap_pyfunction!(run_command, module)?)
 }

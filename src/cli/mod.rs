@@ -3,9 +3,12 @@
 //! Results go to stdout, progress and logs to stderr. Exit codes: 0 fine, 1 failed, 2 usage, 130 interrupted.
 
 mod depth;
+mod doctor;
 mod eval;
 mod fuse;
+mod init;
 mod inspect;
+mod manual;
 mod output;
 mod predict;
 mod progress;
@@ -13,12 +16,13 @@ mod report;
 mod synth;
 mod train;
 mod train_depth;
+mod version;
 
+use std::ffi::OsString;
 use std::io::IsTerminal;
-use std::path::Path;
-use std::process::ExitCode;
+use std::path::{Path, PathBuf};
 
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, CommandFactory, Parser, Subcommand, ValueEnum};
 
 use crate::config::{Config, MinLogVariance, ModelConfig};
 use crate::data::SplitName;
@@ -27,22 +31,39 @@ use crate::error::Error;
 use crate::geometry::ErrorFrame;
 use crate::training::{Manifest, RunFolder};
 
-/// Exit code after Ctrl-C, as shells expect it.
+/// Exit codes.
+const FINE: u8 = 0;
+const FAILED: u8 = 1;
+const USAGE: u8 = 2;
+/// After Ctrl-C, as shells expect it.
 const INTERRUPTED: u8 = 130;
 
 #[derive(Parser)]
-#[command(name = "relcov", version, about = "Error bars for any relative-pose measurement", long_about = None)]
-#[command(after_help = "Examples:
-  relcov train --config configs/synthetic.toml
+#[command(name = "relcov", about = "Error bars for any relative-pose measurement", long_about = None)]
+#[command(arg_required_else_help = true, disable_version_flag = true)]
+#[command(after_help = "First steps:
+  relcov doctor                                     does it work on this machine?
+  relcov init .                                     sample configurations, where there are none yet
+  relcov train --config configs/synthetic.toml      renders a world, trains on it, prints the table
+
+Examples:
   relcov inspect --config configs/kitti_sample.toml
-  relcov train --config configs/kitti_sample.toml
-  relcov eval --run checkpoints/kitti_sample
-  relcov report checkpoints/kitti_sample --html report.html
+  relcov eval --run checkpoints/synthetic --full
+  relcov report checkpoints/synthetic --html report.html
   relcov predict --run checkpoints/synthetic --manifest pairs.csv --format jsonl --out predictions.jsonl
   relcov fuse --odometry vo=vo.csv --odometry wheel=wheel.csv --fixes gnss.csv --out fused.tum")]
 struct Arguments {
     #[command(subcommand)]
-    command: Command,
+    command: Option<Command>,
+    /// Print version, features, instructions and devices
+    #[arg(short = 'V', long, exclusive = true)]
+    version: bool,
+    /// Print a shell's completions
+    #[arg(long, value_name = "SHELL", value_enum, exclusive = true)]
+    completions: Option<clap_complete::Shell>,
+    /// Write man pages into a folder
+    #[arg(long, value_name = "DIR", exclusive = true)]
+    man_pages: Option<PathBuf>,
     /// More messages (-v: steps, -vv: everything)
     #[arg(short, long, action = clap::ArgAction::Count, global = true)]
     verbose: u8,
@@ -53,6 +74,10 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
+    /// Write the sample configurations into a folder
+    Init(init::InitArguments),
+    /// Check that everything works on this machine, and say what to do where it does not
+    Doctor(doctor::DoctorArguments),
     /// Train a covariance model and print the MDE table of its test split
     Train(train::TrainArguments),
     /// Judge predicted covariances: MDE table, proper scores, calibration, figures
@@ -190,12 +215,51 @@ struct Terminal {
     quiet: bool,
 }
 
-/// Runs the program.
-pub fn run() -> ExitCode {
-    let arguments = Arguments::parse();
+/// Runs the program with the arguments of its process; its exit code.
+pub fn run() -> u8 {
+    run_with(std::env::args_os())
+}
+
+/// Runs the program with these arguments, the first being its name; its exit code.
+pub fn run_with(arguments: impl IntoIterator<Item = OsString>) -> u8 {
+    let arguments = match Arguments::try_parse_from(arguments) {
+        Ok(arguments) => arguments,
+        Err(error) => {
+            // As if printed, when it cannot be.
+            let _ = error.print();
+            return if error.use_stderr() { USAGE } else { FINE };
+        }
+    };
     start_log(arguments.verbose, arguments.quiet);
+    match dispatch(arguments) {
+        Ok(code) => code,
+        Err(error) if matches!(error.downcast_ref(), Some(Error::Interrupted)) => INTERRUPTED,
+        Err(error) => {
+            progress::note(false, &format!("error: {error:#}"));
+            FAILED
+        }
+    }
+}
+
+fn dispatch(arguments: Arguments) -> anyhow::Result<u8> {
     let terminal = Terminal { quiet: arguments.quiet };
-    let outcome = match arguments.command {
+    let command = match (arguments.command, arguments.version, arguments.completions, arguments.man_pages) {
+        (Some(command), false, None, None) => command,
+        (None, true, ..) => return print_result(&version::describe()).map(|()| FINE),
+        (None, _, Some(shell), _) => return print_result(&manual::completions(shell)).map(|()| FINE),
+        (None, .., Some(folder)) => return manual::write_pages(&folder).map(|()| FINE),
+        (None, false, None, None) => {
+            progress::note(false, &Arguments::command().render_help().to_string());
+            return Ok(USAGE);
+        }
+        (Some(_), ..) => {
+            progress::note(false, "error: --version, --completions and --man-pages stand alone, without a command");
+            return Ok(USAGE);
+        }
+    };
+    match command {
+        Command::Init(arguments) => init::run(&arguments, &terminal),
+        Command::Doctor(arguments) => doctor::run(&arguments),
         Command::Train(arguments) => train::run(arguments, &terminal),
         Command::Eval(arguments) => eval::run(arguments, &terminal),
         Command::Predict(arguments) => predict::run(&arguments, &terminal),
@@ -205,15 +269,8 @@ pub fn run() -> ExitCode {
         Command::TrainDepth(arguments) => train_depth::run(&arguments, &terminal),
         Command::Report(arguments) => report::run(&arguments, &terminal),
         Command::Synth(arguments) => synth::run(&arguments, &terminal),
-    };
-    match outcome {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) if matches!(error.downcast_ref(), Some(Error::Interrupted)) => ExitCode::from(INTERRUPTED),
-        Err(error) => {
-            progress::note(false, &format!("error: {error:#}"));
-            ExitCode::FAILURE
-        }
     }
+    .map(|()| FINE)
 }
 
 fn start_log(verbose: u8, quiet: bool) {
@@ -224,13 +281,15 @@ fn start_log(verbose: u8, quiet: bool) {
         _ => "info,relcov=trace",
     };
     let colours = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty());
-    tracing_subscriber::fmt()
+    let log = tracing_subscriber::fmt()
         .with_env_filter(tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| level.into()))
         .with_writer(progress::LogWriter::default)
         .with_ansi(colours)
         .with_target(false)
         .without_time()
-        .init();
+        .finish();
+    // Whoever calls the command line from a program of theirs may have a log already.
+    let _ = tracing::subscriber::set_global_default(log);
 }
 
 /// Writes a result to stdout; a reader that went away (`| head`) is no failure.

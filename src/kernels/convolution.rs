@@ -261,15 +261,12 @@ pub(super) fn pieces(tile: &Tile, len: usize) -> impl Iterator<Item = (usize, us
 mod tests {
     use proptest::prelude::*;
 
-    use super::super::reference::{noise, reference};
+    use super::super::reference::{deviation, noise, reference};
     use super::*;
 
     fn assert_close(name: &str, found: &[f32], expected: &[[f64; 2]]) {
-        assert_eq!(found.len(), expected.len(), "{name}");
-        for (index, (&found, &[sum, size])) in found.iter().zip(expected).enumerate() {
-            let difference = (f64::from(found) - sum).abs();
-            assert!(difference <= 1e-6 * size + 1e-12, "{name}[{index}]: {found}, expected {sum}");
-        }
+        let deviation = deviation(found, expected);
+        assert!(deviation <= 1e-6, "{name}: {deviation:.1e}");
     }
 
     fn check(shape: ConvolutionShape, seed: u32) {

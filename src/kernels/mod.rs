@@ -27,8 +27,8 @@ mod layouts;
 mod optimiser;
 mod pool;
 mod product;
-#[cfg(test)]
 mod reference;
+mod self_test;
 mod warp;
 
 use burn::nn::conv::Conv2d;
@@ -41,6 +41,7 @@ pub(crate) use block::{Block, double};
 pub(crate) use fused::{Activation, Border};
 pub(crate) use instructions::{Instructions, Kernel};
 pub use optimiser::Adam;
+pub(crate) use self_test::{deviation_by, deviation_on};
 pub(crate) use warp::Validity;
 
 /// [`Conv2d::forward`]; the kernels take any kernel size, stride and equal padding of opposite sides.

@@ -1,4 +1,4 @@
-//! Convolution and gradients as their definition says, in f64: what the kernels are compared with.
+//! Convolution and gradients as their definition says, in f64: what the kernels and every device are compared with.
 
 use super::convolution::ConvolutionShape;
 
@@ -41,6 +41,17 @@ pub(super) fn reference(shape: ConvolutionShape, input: &[f32], weight: &[f32], 
         }
     }
     result
+}
+
+/// Largest distance of values from the definition, each as a share of what its terms sum up to without their signs:
+/// a few 1e-7 where sums are rounded to f32, infinite where one is no number.
+pub(super) fn deviation(found: &[f32], expected: &[[f64; 2]]) -> f64 {
+    assert_eq!(found.len(), expected.len(), "one value each");
+    let share = |(&found, &[sum, size]): (&f32, &[f64; 2])| match (f64::from(found) - sum).abs() / (size + 1e-6) {
+        share if share.is_nan() => f64::INFINITY,
+        share => share,
+    };
+    found.iter().zip(expected).map(share).fold(0.0, f64::max)
 }
 
 /// Values in −0.5…0.5 that differ from place to place.

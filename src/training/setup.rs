@@ -57,7 +57,7 @@ pub(super) fn describe(config: &Config, dataset: &Dataset, device: &Device) -> M
     Manifest {
         layout: LAYOUT,
         relcov_version: env!("CARGO_PKG_VERSION").to_owned(),
-        git_commit: option_env!("RELCOV_GIT_COMMIT").map(str::to_owned),
+        git_commit: crate::COMMIT.map(str::to_owned),
         burn_version: BURN_VERSION.to_owned(),
         device: device_name(device),
         seed: config.seed,

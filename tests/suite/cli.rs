@@ -120,6 +120,32 @@ fn a_run_trains_evaluates_and_leaves_a_whole_folder() {
         .stdout(contains("validation"));
 }
 
+/// One program, backends swapped by `--device` alone: a run of one is judged, and goes on, on another.
+#[test]
+fn a_run_moves_between_backends() {
+    let made = Made::new();
+    made.train(&["training.epochs=1"]).assert().success();
+    let run = made.path("runs/tiny");
+    let nll = |device: &str| {
+        relcov().arg("eval").arg("--run").arg(&run).args(["--device", device]).assert().success();
+        let evaluation: serde_json::Value = serde_json::from_str(&read(run.join("evaluation.json"))).unwrap();
+        assert_eq!(evaluation["device"], device);
+        evaluation["systems"]["vo"]["methods"]["relcov"]["nll"].as_f64().unwrap()
+    };
+    let flex = nll("flex");
+    let others: Vec<&str> =
+        ["ndarray", "wgpu"].into_iter().filter(|name| crate::support::device(name).is_some()).collect();
+    for device in &others {
+        let other = nll(device);
+        assert!((other - flex).abs() < 1e-3 * flex.abs(), "{device}: {other}, flex: {flex}");
+    }
+    for (device, epochs) in others.into_iter().zip(2..) {
+        let mut resume = relcov();
+        resume.arg("train").arg("--resume").arg(&run).args(["--set", &format!("training.epochs={epochs}")]);
+        resume.args(["--device", device]).assert().success().stderr(contains(format!("device: {device}")));
+    }
+}
+
 #[test]
 fn the_same_seed_gives_the_same_run() {
     let made = Made::new();
@@ -411,7 +437,7 @@ fn the_real_sample_trains_end_to_end() {
         .arg("eval")
         .arg("--run")
         .arg(folder.path().join("kitti_sample"))
-        .args(["--set", "depth.source=lidar", "--device", "ndarray"])
+        .args(["--set", "depth.source=lidar", "--device", if cfg!(feature = "ndarray") { "ndarray" } else { "flex" }])
         .assert()
         .success()
         .stdout(contains("9 vo, 9 gnss"));

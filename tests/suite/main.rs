@@ -8,6 +8,7 @@ mod devices;
 mod eval_cli;
 mod evidence;
 mod exports;
+mod first_steps;
 mod fuse_cli;
 mod kitti;
 mod monodepth2;

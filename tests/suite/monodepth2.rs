@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 use burn::tensor::{Device, Tensor, TensorData};
 use relcov::data::read_image;
 use relcov::depth::monodepth2::PublishedWeights;
-use relcov::device::open_device;
 use safetensors::SafeTensors;
+
+use crate::support::device;
 
 /// Reference weights, image and disparities: those kept with the tests, or those of
 /// `data_scripts/monodepth2_reference.py --out DIR`.
@@ -33,13 +34,7 @@ fn disparities_are_the_same_on_every_backend() {
     };
     let flex = disparity(&Device::flex());
     for name in ["ndarray", "wgpu"] {
-        let device = match open_device(name) {
-            Ok(device) => device,
-            Err(error) => {
-                crate::support::skip(&error.to_string());
-                continue;
-            }
-        };
+        let Some(device) = device(name) else { continue };
         let worst = disparity(&device).iter().zip(&flex).map(|(a, b)| (a - b).abs() / b).fold(0.0, f32::max);
         eprintln!("{name}: worst relative difference from flex {worst:.1e}");
         assert!(worst <= 1e-4, "{name}: {worst:e}");

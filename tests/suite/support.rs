@@ -18,6 +18,11 @@ pub fn shared(relative: &str) -> Option<PathBuf> {
     None
 }
 
+/// A device, or `None` with a line that says the test skipped: its backend is not built in, or the machine has none.
+pub fn device(name: &str) -> Option<burn::tensor::Device> {
+    relcov::device::open_device(name).map_err(|error| skip(&error.to_string())).ok()
+}
+
 /// A matrix of 16 numbers, row-major, as a pose.
 pub fn pose_from_rows(rows: &[f64]) -> Pose {
     let matrix = Matrix4::from_row_slice(rows);
