@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -239,3 +240,15 @@ def test_grey_images_and_unknown_depth_are_taken(world):
     holes[:8] = np.nan
     covariance = model.predict(*grey, intrinsics(world), np.eye(4), holes)
     assert np.linalg.eigvalsh(covariance).min() > 0
+
+
+def test_the_command_comes_along():
+    def run(*arguments):
+        return subprocess.run([sys.executable, "-m", "relcov", *arguments], capture_output=True, text=True)
+
+    version = run("--version")
+    assert version.returncode == 0
+    assert version.stdout.startswith(f"relcov {relcov.__version__}\n")
+    wrong = run("trian")
+    assert wrong.returncode == 2
+    assert "train" in wrong.stderr
