@@ -7,10 +7,10 @@ check:
 # Format, then what the compiler and clippy say
 lint:
     cargo fmt
-    cargo clippy --release --all-targets -- -D warnings
+    cargo clippy --release --workspace --all-targets --features wgpu,relcov-python/wgpu -- -D warnings
 
 test *ARGS:
-    cargo test --release {{ARGS}}
+    cargo test --release --features wgpu {{ARGS}}
 
 # The first command: renders a street world, trains, prints the table
 synthetic *ARGS:

@@ -472,9 +472,9 @@ def scaling_table(binary, rounds):
     return lines
 
 
-def gpu_table(devices, torch_device, rounds, shape):
+def gpu_table(devices, torch_device, rounds, shape, binary):
     """Training, forward and warp on a GPU: relcov's devices, PyTorch f32 and bf16."""
-    binary = build("--features", ",".join(device.split(":")[0] for device in devices))
+    binary = binary or build("--features", ",".join(device.split(":")[0] for device in devices))
     heads = ["case", *(f"relcov {device}, ms" for device in devices), "PyTorch f32, ms", "PyTorch bf16, ms"]
     lines = [row(heads), "|---" * len(heads) + "|"]
     for mode, runs in [("train", 10), ("forward", 20), ("warp", 20)]:
@@ -538,9 +538,10 @@ def main():
     parser.add_argument("--torch-device", default="cuda", choices=["cuda", "cpu"], help="PyTorch's device for --gpu (default cuda)")
     parser.add_argument("--gpu-shape", nargs=3, type=int, default=[160, 512, 84], metavar=("HEIGHT", "WIDTH", "BATCH"),
                         help="for --gpu (default 160 512 84, the size and batch of the paper)")
+    parser.add_argument("--binary", help="for --gpu: the benchmark, where it was built elsewhere (cargo bench --bench peer --no-run)")
     arguments = parser.parse_args()
     if arguments.gpu:
-        return gpu_table(arguments.gpu, arguments.torch_device, arguments.rounds, arguments.gpu_shape)
+        return gpu_table(arguments.gpu, arguments.torch_device, arguments.rounds, arguments.gpu_shape, arguments.binary)
     if not arguments.only:
         check_page(["machine", "comparison", "scaling", "depth", "latency", "alignment"])
     has_open3d = importlib.util.find_spec("open3d") is not None
