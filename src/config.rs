@@ -175,7 +175,7 @@ pub enum SystemSource {
 pub struct TrajectoryConfig {
     /// Path below `data.root`, with `{drive}` (folder name without `_sync`), `{date}` or
     /// `{sequence}` (KITTI odometry number).
-    pub path: String,
+    pub path: PathBuf,
     /// `kitti` (3x4 rows, with or without a leading frame index) or `tum`. Default: kitti.
     #[serde(default)]
     pub format: TrajectoryFormat,
@@ -189,7 +189,7 @@ pub struct TrajectoryConfig {
 #[serde(deny_unknown_fields)]
 pub struct RelativeConfig {
     /// As for trajectories.
-    pub path: String,
+    pub path: PathBuf,
     /// Whose poses they are. Default: camera0.
     #[serde(default)]
     pub frame: MeasurementFrame,

@@ -11,7 +11,7 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// The operating system refused a file operation.
-    #[error("{}: cannot {action}: {reason}", path.display())]
+    #[error("{}: cannot {action}: {reason}", shown(path))]
     Io {
         /// What was tried ("read", "create the folder").
         action: &'static str,
@@ -21,7 +21,7 @@ pub enum Error {
         reason: io::Error,
     },
     /// A file's content is not what its format says.
-    #[error("{}{place}: found {found}; expected {expected}", path.display())]
+    #[error("{}{place}: found {}; expected {expected}", shown(path), lines_shortened(found))]
     Malformed {
         /// The file.
         path: PathBuf,
@@ -52,7 +52,7 @@ pub enum Error {
         problem: String,
     },
     /// A run folder cannot be used.
-    #[error("run {}: {problem}", folder.display())]
+    #[error("run {}: {problem}", shown(folder))]
     Run {
         /// The run folder.
         folder: PathBuf,
@@ -88,6 +88,59 @@ impl fmt::Display for Place {
     }
 }
 
+/// Most characters of a user's own content in a message.
+const LONGEST_EXCERPT: usize = 80;
+
+/// What stands in a file, fit for a message: in backticks, at most 80 characters of it, control characters escaped.
+pub(crate) fn excerpt(content: &str) -> String {
+    let short: String = content.chars().take(LONGEST_EXCERPT).collect();
+    let more = if short.len() < content.len() { "…" } else { "" };
+    format!("`{}{more}`", escaped(&short.replace('\n', "\\n")))
+}
+
+/// Most characters of another library's message, which may hold a user's content.
+const LONGEST_MESSAGE: usize = 100;
+
+/// Another library's message, at most 100 characters of it.
+pub(crate) fn shortened(message: &str) -> String {
+    let short: String = message.chars().take(LONGEST_MESSAGE).collect();
+    if short.len() < message.len() { short + "…" } else { short }
+}
+
+/// Longest path that a message shows whole, characters, and how many from its end of a longer one.
+const LONGEST_PATH: usize = 240;
+const END_OF_PATH: usize = 80;
+
+/// A path, fit for a message.
+fn shown(path: &Path) -> String {
+    let text = escaped(&path.display());
+    let length = text.chars().count();
+    if length <= LONGEST_PATH {
+        text
+    } else {
+        format!("…{}", text.chars().skip(length - END_OF_PATH).collect::<String>())
+    }
+}
+
+/// Most characters of a line of what was found, whoever wrote it.
+const LONGEST_LINE: usize = 160;
+
+/// What was found, its lines not longer than a reader wants them.
+fn lines_shortened(found: &str) -> String {
+    let short = |line: &str| match line.char_indices().nth(LONGEST_LINE) {
+        Some((end, _)) => format!("{}…", &line[..end]),
+        None => line.to_owned(),
+    };
+    escaped(&found.lines().map(short).collect::<Vec<_>>().join("\n"))
+}
+
+/// A text whose control characters (but line breaks) a terminal shows instead of obeying them.
+fn escaped(text: &dyn fmt::Display) -> String {
+    let text = text.to_string();
+    let shown = |c: char| if c.is_control() && c != '\n' { c.escape_default().to_string() } else { c.to_string() };
+    if text.chars().any(char::is_control) { text.chars().map(shown).collect() } else { text }
+}
+
 impl Error {
     /// For `map_err` on file operations.
     pub fn io(action: &'static str, path: impl AsRef<Path>) -> impl FnOnce(io::Error) -> Self {
@@ -113,5 +166,20 @@ impl Error {
     /// A run folder that cannot be used.
     pub fn run(folder: impl AsRef<Path>, problem: impl Into<String>) -> Self {
         Self::Run { folder: folder.as_ref().to_owned(), problem: problem.into() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_user_wrote_is_shown_short_and_harmless() {
+        assert_eq!(excerpt("1,5"), "`1,5`");
+        assert_eq!(excerpt("\u{1b}[2Jred\n"), "`\\u{1b}[2Jred\\n`");
+        let long = excerpt(&"é".repeat(5_000_000));
+        assert_eq!(long.chars().count(), LONGEST_EXCERPT + 3);
+        let error = Error::malformed("a\rb.csv", Place::Line(3), "\u{7}", "a number");
+        assert_eq!(error.to_string(), "a\\rb.csv, line 3: found \\u{7}; expected a number");
     }
 }

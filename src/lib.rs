@@ -46,6 +46,7 @@ mod predict;
 pub mod report;
 pub mod synthetic;
 pub mod systems;
+pub mod time;
 pub mod training;
 pub mod warp;
 

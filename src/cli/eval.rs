@@ -17,6 +17,7 @@ use crate::evaluation::{
     Baselines, Method, Origin, PairTable, Prediction, Recalibration, evaluate_table, perturbation_response,
     predict_split, read_pairs, write_pairs,
 };
+use crate::files::own_name;
 use crate::geometry::{Conventions, ErrorFrame};
 use crate::model::CovarianceModel;
 use crate::report::figures::write_figures;
@@ -158,9 +159,7 @@ pub fn evaluate_run(
     for bad in &bad_frames {
         note(false, &format!("left out: {}", describe(bad)));
     }
-    let canonical = run_path.canonicalize().unwrap_or_else(|_| run_path.to_owned());
-    let name = canonical.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    Ok(Entry { name, evaluation, table, folder: Some(run.path().to_owned()) })
+    Ok(Entry { name: own_name(run_path), evaluation, table, folder: Some(run.path().to_owned()) })
 }
 
 /// A split's measurements with a model's predictions, and what they were made with.

@@ -3,6 +3,7 @@
 mod files;
 mod measured;
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -14,7 +15,7 @@ use super::{Overrides, SplitArgument, Terminal, print_result};
 use crate::error::{Error, Result};
 use crate::evaluation::Method;
 use crate::export::fused_trajectory;
-use crate::files::{read_text, write_atomically};
+use crate::files::{extension, fill_template, read_text, write_atomically};
 use crate::fusion::{DEVIATIONS, Fix, FusedTrajectory, Odometry, SimulatedFixes, TrajectoryScores, fuse, parse_fixes};
 use crate::report::figures::{DrawnTrajectory, FusedDrive, draw_fusion, to_png};
 use crate::report::{FusionRow, TableFormat, fusion_table};
@@ -104,19 +105,23 @@ pub fn run(arguments: &FuseArguments, terminal: &Terminal) -> anyhow::Result<()>
     if arguments.odometry.is_empty() { fuse_drives(arguments, terminal) } else { fuse_files(arguments, terminal) }
 }
 
+/// The frames that some motion reaches.
+fn reached_frames(odometry: &[Odometry]) -> BTreeSet<usize> {
+    let motions = odometry.iter().flat_map(|system| &system.motions);
+    motions.flat_map(|motion| [motion.source, motion.target]).collect()
+}
+
 /// The true poses of frames that some motion reaches.
 fn reached(truth: &Trajectory, odometry: &[Odometry]) -> Trajectory {
-    let motions = odometry.iter().flat_map(|system| &system.motions);
-    let frames: std::collections::BTreeSet<usize> = motions.flat_map(|motion| [motion.source, motion.target]).collect();
+    let frames = reached_frames(odometry);
     truth.iter().filter(|(frame, _)| frames.contains(frame)).map(|(&frame, &pose)| (frame, pose)).collect()
 }
 
 /// The systems of a configuration, drive by drive, with every kind of covariance that there is.
 fn fuse_drives(arguments: &FuseArguments, terminal: &Terminal) -> anyhow::Result<()> {
     if let Some(path) = &arguments.save_plot {
-        let extension = path.extension().and_then(|extension| extension.to_str());
         anyhow::ensure!(
-            matches!(extension, Some("svg" | "png")),
+            matches!(extension(path).as_str(), "svg" | "png"),
             "--save-plot {}: the file's name must end in .svg or .png",
             path.display()
         );
@@ -203,8 +208,7 @@ fn fuse_draws(
 
 fn save_plot(path: &Path, drawn: &[FusedDrive], terminal: &Terminal) -> anyhow::Result<()> {
     let svg = draw_fusion(drawn).map_err(|problem| anyhow::anyhow!("the picture cannot be drawn: {problem}"))?;
-    let svg_wanted = path.extension().is_some_and(|extension| extension == "svg");
-    let bytes = if svg_wanted { svg.into_bytes() } else { to_png(&svg).map_err(anyhow::Error::msg)? };
+    let bytes = if extension(path) == "svg" { svg.into_bytes() } else { to_png(&svg).map_err(anyhow::Error::msg)? };
     write_atomically(path, &bytes)?;
     note(terminal.quiet, &format!("wrote {}", path.display()));
     Ok(())
@@ -213,7 +217,7 @@ fn save_plot(path: &Path, drawn: &[FusedDrive], terminal: &Terminal) -> anyhow::
 fn fixes_of(arguments: &FuseArguments, drive: &str, number: usize, truth: &Trajectory, seed: u64) -> Result<Vec<Fix>> {
     match (&arguments.fixes, arguments.simulate_fixes) {
         (Some(template), _) => {
-            let path = PathBuf::from(template.display().to_string().replace("{drive}", drive));
+            let path = fill_template(template, &[("{drive}", drive)]);
             parse_fixes(&read_text(&path)?, &path)
         }
         (None, Some((every, std_m))) => Ok(SimulatedFixes { every, std_m, seed }.draw(truth, number)),

@@ -7,7 +7,7 @@ use clap::Args;
 use super::{Terminal, print_result, progress::note};
 use crate::error::{Error, Result};
 use crate::evaluation::write_pairs;
-use crate::files::write_atomically;
+use crate::files::{extension, write_atomically};
 use crate::report::{Comparison, Detail, Intervals, TableFormat, figures, render_results};
 
 /// How much of a result is shown.
@@ -56,7 +56,7 @@ impl OutputArguments {
             table_format(path)?;
         }
         if let Some(path) = &self.save_results
-            && path.extension().is_none_or(|extension| extension != "json")
+            && extension(path) != "json"
         {
             return Err(Error::Data(format!("--save-results {}: the file's name must end in .json", path.display())));
         }
@@ -107,8 +107,7 @@ pub fn make_folder(path: &Path) -> Result<()> {
 }
 
 fn table_format(path: &Path) -> Result<TableFormat> {
-    let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
-    TableFormat::of_extension(extension).ok_or_else(|| {
+    TableFormat::of_extension(&extension(path)).ok_or_else(|| {
         Error::Data(format!("--save-table {}: the file's name must end in .txt, .md, .csv or .tex", path.display()))
     })
 }

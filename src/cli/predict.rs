@@ -13,7 +13,7 @@ use clap::{ArgGroup, Args, ValueEnum};
 use super::progress::{Progress, note};
 use super::{FrameArgument, Overrides, SplitArgument, Terminal, synth};
 use crate::config::{Config, DepthConfig, MeasurementFrame};
-use crate::data::{Dataset, PairScope, Split, SplitName};
+use crate::data::{Dataset, Drive, PairScope, Split, SplitName};
 use crate::depth::{DepthCache, DepthEstimator, Present, precompute};
 use crate::device::{device_name, open_device};
 use crate::error::{Error, Result};
@@ -209,6 +209,7 @@ pub fn run(arguments: &PredictArguments, terminal: &Terminal) -> anyhow::Result<
     let owners: BTreeSet<(usize, usize)> = pairs.pairs.iter().map(|pair| (pair.system, pair.id.drive)).collect();
     let names = |&(system, drive): &(usize, usize)| (&*dataset.systems[system], &*dataset.drives[drive].name);
     let sink = Sink::new(arguments, owners.iter().map(names))?;
+    warn_of_missing_times(arguments.format, owners.iter().map(|&(_, drive)| &dataset.drives[drive]));
     let frame = arguments.frame.map(FrameArgument::frame).or(arguments.format.usual_frame());
     let frame = frame.unwrap_or(model.error_frame());
     arguments.format.check_frame(frame)?;
@@ -230,13 +231,27 @@ pub fn run(arguments: &PredictArguments, terminal: &Terminal) -> anyhow::Result<
     Ok(())
 }
 
+/// Says what stands in place of times that are not known, in formats that have them.
+fn warn_of_missing_times<'a>(format: Format, drives: impl Iterator<Item = &'a Drive>) {
+    let instead = match format {
+        Format::Ros => "stamps are 0",
+        Format::Tum => "t is the frame",
+        _ => return,
+    };
+    let missing = drives.filter_map(|drive| drive.require_times(&format!("--format {}", format.name())).err());
+    missing.collect::<Vec<_>>().iter().take(1).for_each(|error| note(false, &format!("warning: {error}; {instead}")));
+}
+
 /// Which measurements got no covariance, and why.
 fn describe_gaps(dataset: &Dataset, split: &Split, predicted: usize) -> String {
     let of_split = dataset.coverage.iter().filter(|coverage| coverage.split == split.name);
     let measured: usize = of_split.flat_map(|coverage| &coverage.measured_pairs).sum();
     // Of training drives some pairs may be held out, which lack nothing.
     let lacking = if split.name == SplitName::Test { measured.saturating_sub(split.pairs.len()) } else { 0 };
-    let gaps = [(split.pairs.len() - predicted, "could not be read"), (lacking, "have no images or no depth")];
+    let gaps = [
+        (split.pairs.len() - predicted, "could not be read, or show nothing of the target"),
+        (lacking, "have no images or no depth"),
+    ];
     gaps.iter().filter(|(pairs, _)| *pairs > 0).map(|(pairs, why)| format!("; {pairs} {why}")).collect()
 }
 

@@ -69,7 +69,16 @@ pub fn run(arguments: TrainArguments, terminal: &Terminal) -> anyhow::Result<()>
     );
     let bad = learner.bad_frames();
     if !bad.is_empty() {
-        note(false, &format!("{} frames could not be read and were left out", bad.len()));
+        note(
+            false,
+            &format!(
+                "{} frames or pairs were left out, the first: {}, frame {}: {}",
+                bad.len(),
+                bad[0].drive,
+                bad[0].frame,
+                bad[0].problem
+            ),
+        );
     }
     let run = learner.run().path().to_owned();
     drop(learner);

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
 use crate::error::{Error, Place, Result};
-use crate::files::read_text;
+use crate::files::{read_text, utf8_name};
 
 /// Tables whose other keys depend on `source`, and the source they have when they name none.
 const DEFAULT_SOURCES: [(&str, &str); 2] = [("depth", "ground_plane"), ("truth", "oxts")];
@@ -32,8 +32,8 @@ pub(super) fn merge(
     let recorded = !table.get("data").and_then(Value::as_table).is_some_and(|data| data.contains_key("synthetic"))
         && !overrides.iter().any(|text| text.trim_start().starts_with("data.synthetic"));
     if let Some(root) = data_root.filter(|_| recorded) {
-        assign(&mut table, "data.root", Value::String(root.display().to_string()))?;
-        anchor(&mut table, "data.root", Path::new(""));
+        assign(&mut table, "data.root", Value::String(utf8_name(root)?))?;
+        anchor(&mut table, "data.root", Path::new(""))?;
     }
     name_default_sources(&mut table);
     let mut assignments = Vec::new();
@@ -48,7 +48,7 @@ pub(super) fn merge(
     for (key, value) in assignments {
         assign(&mut table, key, parse_value(value))?;
         if PATH_KEYS.contains(&key) {
-            anchor(&mut table, key, Path::new(""));
+            anchor(&mut table, key, Path::new(""))?;
         }
     }
     // Once more for tables that an override has begun.
@@ -62,7 +62,7 @@ fn read_layers(text: &str, path: &Path, folder: &Path, layers_left: usize) -> Re
         Error::malformed(path, Place::Whole, error.to_string().trim_end().to_owned(), "TOML")
     })?;
     for key in PATH_KEYS {
-        anchor(&mut table, key, folder);
+        anchor(&mut table, key, folder)?;
     }
     let Some(base) = table.remove(EXTENDS) else { return Ok(table) };
     let field = || Place::Field(EXTENDS.to_owned());
@@ -142,11 +142,12 @@ fn assign(table: &mut Table, key: &str, value: Value) -> Result<()> {
     Ok(())
 }
 
-fn anchor(table: &mut Table, key: &str, folder: &Path) {
+fn anchor(table: &mut Table, key: &str, folder: &Path) -> Result<()> {
     let (parent, last) = key.rsplit_once('.').unwrap_or(("", key));
     let slots = if parent.is_empty() { Some(table) } else { table.get_mut(parent).and_then(Value::as_table_mut) };
-    let Some(Value::String(path)) = slots.and_then(|slots| slots.get_mut(last)) else { return };
-    *path = absolute(&folder.join(&*path)).display().to_string();
+    let Some(Value::String(path)) = slots.and_then(|slots| slots.get_mut(last)) else { return Ok(()) };
+    *path = utf8_name(&absolute(&folder.join(&*path)))?;
+    Ok(())
 }
 
 /// Absolute and without `a/../`, whether or not the file exists.

@@ -2,12 +2,13 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use nalgebra::Vector6;
 use sha2::{Digest, Sha256};
 
+use super::coverage::Coverage;
 use super::drive::Drive;
 use super::generated::generate;
 use super::pairing::Pairing;
@@ -23,6 +24,8 @@ use crate::systems::Perturbation;
 /// What an experiment works with.
 #[derive(Clone, Debug)]
 pub struct Dataset {
+    /// Which pairs it keeps.
+    pub scope: PairScope,
     /// Folder of the data.
     pub root: PathBuf,
     /// What tells the depth maps of a network from those of another; none for other sources.
@@ -143,35 +146,6 @@ pub enum PairScope {
     Measured,
 }
 
-/// What one drive gives to one split.
-#[derive(Clone, Debug)]
-pub struct Coverage {
-    /// The split.
-    pub split: SplitName,
-    /// Index into [`Dataset::drives`].
-    pub drive: usize,
-    /// First and one past the last source frame, where the configuration cuts.
-    pub frames: Option<[usize; 2]>,
-    /// Frames with a true pose.
-    pub true_poses: usize,
-    /// Frames with an image.
-    pub images: usize,
-    /// Frames with an image of the right camera.
-    pub right_images: usize,
-    /// Frames with a LiDAR scan.
-    pub scans: usize,
-    /// Neighbouring frames that both have a true pose.
-    pub pose_pairs: usize,
-    /// Of those, pairs whose two images exist.
-    pub image_pairs: usize,
-    /// Of those, pairs whose target has depth.
-    pub depth_pairs: usize,
-    /// For each system: pairs with a measured and a true pose, with or without images.
-    pub measured_pairs: Vec<usize>,
-    /// For each system: the file that was looked for and is not there.
-    pub missing_files: Vec<Option<PathBuf>>,
-}
-
 impl Dataset {
     /// Finds everything a configuration asks for.
     ///
@@ -208,6 +182,7 @@ impl Dataset {
         let [train, validation, test] = splits;
         let depth = network.map(|network| DepthCache::of(network).require(network, &drives)).transpose()?;
         let dataset = Self {
+            scope,
             root: config.data.root.clone(),
             drives,
             depth,
@@ -277,38 +252,6 @@ impl Dataset {
         Ok(())
     }
 
-    fn explain_empty(&self, name: SplitName, system: usize) -> Error {
-        let coverage: Vec<_> = self.coverage.iter().filter(|coverage| coverage.split == name).collect();
-        if name == SplitName::Validation && coverage.is_empty() {
-            return Error::config(
-                "data.validation_fraction",
-                "holds out no pair of the training drives; raise it, or list drives in data.validation",
-            );
-        }
-        let sum = |count: fn(&Coverage) -> usize| coverage.iter().map(|coverage| count(coverage)).sum::<usize>();
-        let measured: usize = coverage.iter().map(|coverage| coverage.measured_pairs[system]).sum();
-        let files: Vec<_> = coverage
-            .iter()
-            .filter_map(|coverage| coverage.missing_files[system].as_ref())
-            .map(|path| path.display().to_string())
-            .collect();
-        let no_depth = sum(|coverage| coverage.image_pairs) > 0 && sum(|coverage| coverage.depth_pairs) == 0;
-        let depth =
-            if no_depth { "; depth.source has none for these images, choose another (docs/depth.md)" } else { "" };
-        let missing = if files.is_empty() { String::new() } else { format!("; not found: {}", files.join(", ")) };
-        Error::Data(format!(
-            "split `{}` has no pairs of system `{}`: {} drives, {} pairs of true poses, {} of them with images, {} of those with depth, {measured} measured by the system{missing}{depth}. \
-             `relcov inspect --config …` shows what each drive holds; `data.{}` chooses the drives",
-            name.name(),
-            self.systems[system],
-            coverage.len(),
-            sum(|coverage| coverage.pose_pairs),
-            sum(|coverage| coverage.image_pairs),
-            sum(|coverage| coverage.depth_pairs),
-            name.name(),
-        ))
-    }
-
     /// A hash of every pair and error: two runs compare only when it agrees.
     pub fn fingerprint(&self) -> String {
         let mut hash = Sha256::new();
@@ -363,7 +306,7 @@ impl Split {
 /// Whether a system is one that was rendered together with the data, judged by the truth it was drawn around.
 fn is_simulated(config: &Config, system: &SystemConfig) -> bool {
     let SystemSource::Relative(RelativeConfig { path, .. }) = &system.source else { return false };
-    let rendered = SYSTEMS.iter().any(|name| *path == format!("measurements/{name}/{{drive}}.csv"));
+    let rendered = SYSTEMS.iter().any(|name| *path == Path::new(&format!("measurements/{name}/{{drive}}.csv")));
     rendered && config.truth == TruthConfig::Oxts && is_synthetic(&config.data.root)
 }
 

@@ -7,12 +7,10 @@ use super::calibration::Calibration;
 use super::image::{RgbImage, read_image};
 use super::manifest::Listed;
 use super::oxts::{OxtsPacket, world_from_vehicle};
-use crate::error::{Error, Place, Result};
-use crate::files::read_text;
+use crate::error::{Error, Place, Result, excerpt};
+use crate::files::{LARGEST_FRAME, extension, read_text};
 use crate::geometry::Pose;
-
-/// Frame indices above this are taken for mistakes.
-pub(super) const LARGEST_FRAME: usize = 1_000_000_000;
+use crate::time::Time;
 
 /// Files by frame index.
 pub type FrameFiles = BTreeMap<usize, PathBuf>;
@@ -32,9 +30,9 @@ pub struct Drive {
     pub scans: FrameFiles,
     /// Pose of the vehicle by GNSS/INS (`oxts`), world of east, north, up.
     pub oxts_poses: BTreeMap<usize, Pose>,
-    /// Time of each frame, seconds since 1970 (UTC as written); empty without a timestamps file.
-    pub timestamps_s: BTreeMap<usize, f64>,
-    /// Packets that could not be read; their frames have no pose.
+    /// Time of each frame (UTC as written); empty without a timestamps file.
+    pub times: BTreeMap<usize, Time>,
+    /// Packets and times that could not be read; their frames have none.
     pub problems: Vec<String>,
     /// What a pairs manifest says of it; `None` for drives in the KITTI layout.
     pub listed: Option<Listed>,
@@ -69,17 +67,34 @@ impl Drive {
         let mut problems = Vec::new();
         let packets = list_frames(&folder.join("oxts/data"), &["txt"])?;
         let oxts_poses = load_poses(&packets, &mut problems);
+        let images = list_frames(&folder.join("image_02/data"), &["png", "jpg", "jpeg"])?;
+        let times = load_times(&folder, [&images, &packets], &mut problems);
         Ok(Self {
             name: name.to_owned(),
             calibration: Calibration::load(&date_folder)?,
-            images: list_frames(&folder.join("image_02/data"), &["png", "jpg", "jpeg"])?,
+            images,
             right_images: list_frames(&folder.join("image_03/data"), &["png", "jpg", "jpeg"])?,
             scans: list_frames(&folder.join("velodyne_points/data"), &["bin"])?,
             oxts_poses,
-            timestamps_s: load_timestamps(&folder, &mut problems),
+            times,
             problems,
             listed: None,
         })
+    }
+
+    /// The frames' times, for what cannot do without them.
+    ///
+    /// # Errors
+    /// None are known.
+    pub fn require_times(&self, what: &str) -> Result<&BTreeMap<usize, Time>> {
+        if !self.times.is_empty() {
+            return Ok(&self.times);
+        }
+        let missing = match self.listed {
+            None => "image_02/timestamps.txt or oxts/timestamps.txt with a time a line",
+            Some(_) => "the columns source_time and target_time in its manifest",
+        };
+        Err(Error::Data(format!("{}: the times of its frames are not known; {what} needs {missing}", self.name)))
     }
 
     /// Reads the left colour image of a frame.
@@ -117,6 +132,11 @@ impl Drive {
         Ok(image)
     }
 
+    /// Width and height of its images, px.
+    pub fn image_size(&self) -> [usize; 2] {
+        [self.calibration.camera2.width, self.calibration.camera2.height]
+    }
+
     /// The recording date, `2011_09_30`; of a manifest's sequence, its name.
     pub fn date(&self) -> &str {
         if self.listed.is_some() { &self.name } else { &self.name[..10] }
@@ -136,7 +156,7 @@ fn list_frames(folder: &Path, extensions: &[&str]) -> Result<FrameFiles> {
     let mut frames = FrameFiles::new();
     for entry in std::fs::read_dir(folder).map_err(Error::io("list", folder))? {
         let path = entry.map_err(Error::io("list", folder))?.path();
-        let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or("").to_ascii_lowercase();
+        let extension = extension(&path);
         let index = path.file_stem().and_then(|stem| stem.to_str()).and_then(|stem| stem.parse().ok());
         let Some(index) = index.filter(|_| extensions.contains(&extension.as_str())) else { continue };
         if index > LARGEST_FRAME {
@@ -161,13 +181,13 @@ fn list_frames(folder: &Path, extensions: &[&str]) -> Result<FrameFiles> {
 }
 
 fn load_poses(packets: &FrameFiles, problems: &mut Vec<String>) -> BTreeMap<usize, Pose> {
-    let mut mercator_scale = None;
+    let mut first: Option<OxtsPacket> = None;
     let mut poses = BTreeMap::new();
     for (&frame, path) in packets {
         match OxtsPacket::load(path) {
             Ok(packet) => {
-                let scale = *mercator_scale.get_or_insert_with(|| packet.mercator_scale());
-                poses.insert(frame, world_from_vehicle(&packet, scale));
+                let first = *first.get_or_insert(packet);
+                poses.insert(frame, world_from_vehicle(&packet.beside(&first), first.mercator_scale()));
             }
             Err(error) => problems.push(error.to_string()),
         }
@@ -175,52 +195,46 @@ fn load_poses(packets: &FrameFiles, problems: &mut Vec<String>) -> BTreeMap<usiz
     poses
 }
 
-/// Frame times of the camera, else of the packets.
-fn load_timestamps(folder: &Path, problems: &mut Vec<String>) -> BTreeMap<usize, f64> {
-    let candidates = ["image_02/timestamps.txt", "oxts/timestamps.txt"].map(|name| folder.join(name));
-    let Some(path) = candidates.into_iter().find(|path| path.is_file()) else { return BTreeMap::new() };
-    let text = match read_text(&path) {
-        Ok(text) => text,
+/// Frame times of the camera, else of the packets; each file beside the frames it was written for.
+fn load_times(folder: &Path, frames: [&FrameFiles; 2], problems: &mut Vec<String>) -> BTreeMap<usize, Time> {
+    let files = ["image_02/timestamps.txt", "oxts/timestamps.txt"].map(|name| folder.join(name));
+    let Some((path, frames)) = files.into_iter().zip(frames).find(|(path, _)| path.is_file()) else {
+        return BTreeMap::new();
+    };
+    match read_text(&path) {
+        Ok(text) => parse_times(&text, &path, frames, problems),
         Err(error) => {
             problems.push(error.to_string());
-            return BTreeMap::new();
+            BTreeMap::new()
         }
-    };
+    }
+}
+
+/// A time a line: the k-th of frame k, or of the k-th frame where a cut drive has as many frames as lines, from a later
+/// one on.
+fn parse_times(text: &str, path: &Path, frames: &FrameFiles, problems: &mut Vec<String>) -> BTreeMap<usize, Time> {
+    let lines: Vec<&str> = text.trim_end().lines().collect();
+    let cut = frames.len() == lines.len() && frames.last_key_value().is_some_and(|(&last, _)| last >= lines.len());
+    if let Some((last, _)) = frames.last_key_value().filter(|(last, _)| !cut && **last >= lines.len()) {
+        let found = format!("{} lines", lines.len());
+        problems
+            .push(Error::malformed(path, Place::Whole, found, format!("a time for each frame to {last}")).to_string());
+    }
+    let frame_of: Vec<usize> = if cut { frames.keys().copied().collect() } else { (0..lines.len()).collect() };
     let mut times = BTreeMap::new();
-    for (frame, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
-        match parse_timestamp_s(line) {
+    for (index, line) in lines.into_iter().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
+        let line = line.trim();
+        match Time::parse_date(line).or_else(|| Time::parse_seconds(line)) {
             Some(time) => {
-                times.insert(frame, time);
+                times.insert(frame_of[index], time);
             }
             None => {
-                let place = Place::Line(frame + 1);
-                problems.push(
-                    Error::malformed(&path, place, format!("`{line}`"), "a time like 2011-09-30 12:40:59.409")
-                        .to_string(),
-                );
+                let expected = "a time like 2011-09-30 12:40:59.409, or seconds";
+                problems.push(Error::malformed(path, Place::Line(index + 1), excerpt(line), expected).to_string());
             }
         }
     }
     times
-}
-
-/// Seconds since 1970 of `2011-09-30 12:40:59.409428480`.
-fn parse_timestamp_s(text: &str) -> Option<f64> {
-    let (date, time) = text.trim().split_once(' ')?;
-    let mut date = date.splitn(3, '-').map(|part| part.parse::<i64>().ok());
-    let (year, month, day) = (date.next()??, date.next()??, date.next()??);
-    let mut time = time.splitn(3, ':').map(|part| part.parse::<f64>().ok());
-    let (hours, minutes, seconds) = (time.next()??, time.next()??, time.next()??);
-    if !(1..=12).contains(&month) || !(1..=31).contains(&day) {
-        return None;
-    }
-    // Days from the civil calendar, years counted from March.
-    let year = if month <= 2 { year - 1 } else { year };
-    let era = year.div_euclid(400);
-    let year_of_era = year - era * 400;
-    let day_of_year = (153 * ((month + 9) % 12) + 2) / 5 + day - 1;
-    let days = era * 146_097 + year_of_era * 365 + year_of_era / 4 - year_of_era / 100 + day_of_year - 719_468;
-    Some(days as f64 * 86_400.0 + hours * 3_600.0 + minutes * 60.0 + seconds)
 }
 
 #[cfg(test)]
@@ -228,12 +242,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn timestamps_count_seconds_since_1970() {
-        assert_eq!(parse_timestamp_s("1970-01-01 00:00:00.000000000"), Some(0.0));
-        // date -u -d '2011-09-30 12:40:59' +%s
-        assert_eq!(parse_timestamp_s("2011-09-30 12:40:59.5"), Some(1_317_386_459.5));
-        assert_eq!(parse_timestamp_s("2012-02-29 00:00:00"), Some(1_330_473_600.0));
-        assert_eq!(parse_timestamp_s("2011-13-30 12:40:59.5"), None);
-        assert_eq!(parse_timestamp_s("yesterday"), None);
+    fn the_times_of_a_cut_drive_are_those_of_its_frames() {
+        let frames = |range: std::ops::Range<usize>| range.map(|frame| (frame, PathBuf::new())).collect::<FrameFiles>();
+        let text = "2011-09-30 12:40:59.000000001\n\n1317386459.1\nyesterday\n";
+        let read = |frames| {
+            let mut problems = Vec::new();
+            let times = parse_times(text, Path::new("timestamps.txt"), &frames, &mut problems);
+            (times.into_keys().collect::<Vec<_>>(), problems)
+        };
+        assert_eq!((read(frames(0..4)).0, read(frames(10..14)).0), (vec![0, 2], vec![10, 12]));
+        let (known, problems) = read(frames(10..99));
+        assert_eq!(known, [0, 2]);
+        assert_eq!(problems[0], "timestamps.txt: found 4 lines; expected a time for each frame to 98");
+        assert_eq!(
+            problems[1..],
+            ["timestamps.txt, line 4: found `yesterday`; expected a time like 2011-09-30 12:40:59.409, or seconds"]
+        );
     }
 }

@@ -1,9 +1,12 @@
 //! Decoding colour images and bringing them to the network's size.
 
 use std::path::Path;
+use std::sync::Once;
 
 use fast_image_resize::images::Image as ResizeImage;
 use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
+use image::metadata::Orientation;
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 
 use crate::error::{Error, Place, Result};
 use crate::files::read_bytes;
@@ -57,10 +60,11 @@ impl RgbImage {
     }
 }
 
-/// Decodes a PNG or JPEG file (grey images become RGB).
+/// Decodes a PNG or JPEG file (grey images become RGB). Pixels are taken as they are stored: an EXIF orientation, which
+/// would turn them, is not followed, and said once.
 ///
 /// # Errors
-/// The file cannot be read or decoded.
+/// The file cannot be read or decoded, or is not whole.
 pub fn read_image(path: &Path) -> Result<RgbImage> {
     decode_image(&read_bytes(path)?, path)
 }
@@ -68,20 +72,83 @@ pub fn read_image(path: &Path) -> Result<RgbImage> {
 /// Decodes the content of a PNG or JPEG file; `origin` names it in errors.
 ///
 /// # Errors
-/// It cannot be decoded.
+/// It cannot be decoded, or is not whole.
 pub fn decode_image(bytes: &[u8], origin: &Path) -> Result<RgbImage> {
-    let mut reader = image::ImageReader::new(std::io::Cursor::new(bytes));
-    let mut limits = image::Limits::default();
+    let image = decode(bytes, origin, "a complete PNG or JPEG image")?.into_rgb8();
+    Ok(RgbImage { width: image.width() as usize, height: image.height() as usize, bytes: image.into_raw() })
+}
+
+/// Decodes any image; the only place that does. `expected` says what it should be.
+pub(crate) fn decode(bytes: &[u8], origin: &Path, expected: &str) -> Result<DynamicImage> {
+    let broken = |found: String| Error::malformed(origin, Place::Whole, found, expected);
+    let mut reader = ImageReader::new(std::io::Cursor::new(bytes));
+    reader.limits(limits());
+    let reader = reader.with_guessed_format().map_err(Error::io("read", origin))?;
+    // Its decoder makes grey of what is missing.
+    if reader.format() == Some(ImageFormat::Jpeg) && !is_whole_jpeg(bytes) {
+        return Err(broken(format!("a JPEG that is cut off: {} bytes without its end", bytes.len())));
+    }
+    let decoded = reader.into_decoder().and_then(|mut decoder| {
+        let orientation = decoder.orientation()?;
+        let mut limits = limits();
+        limits.reserve(decoder.total_bytes())?;
+        decoder.set_limits(limits)?;
+        Ok((orientation, DynamicImage::from_decoder(decoder)?))
+    });
+    let (orientation, image) = decoded.map_err(|error| broken(error.to_string()))?;
+    if orientation != Orientation::NoTransforms {
+        static SAID: Once = Once::new();
+        SAID.call_once(|| {
+            tracing::warn!(
+                "{}: its EXIF orientation ({}) is not followed; intrinsics, depth and pose must be those of the pixels as stored",
+                origin.display(),
+                orientation.to_exif()
+            );
+        });
+    }
+    Ok(image)
+}
+
+fn limits() -> Limits {
+    let mut limits = Limits::default();
     (limits.max_image_width, limits.max_image_height) = (Some(MOST_PIXELS), Some(MOST_PIXELS));
     limits.max_alloc = Some(MOST_BYTES);
-    reader.limits(limits);
-    let image = reader
-        .with_guessed_format()
-        .map_err(Error::io("read", origin))?
-        .decode()
-        .map_err(|error| Error::malformed(origin, Place::Whole, error.to_string(), "a complete PNG or JPEG image"))?
-        .into_rgb8();
-    Ok(RgbImage { width: image.width() as usize, height: image.height() as usize, bytes: image.into_raw() })
+    limits
+}
+
+/// Width and height of an image file, px, by its header.
+pub(super) fn image_size(path: &Path) -> Result<(usize, usize)> {
+    let reader = ImageReader::open(path).map_err(Error::io("read", path))?;
+    let reader = reader.with_guessed_format().map_err(Error::io("read", path))?;
+    let (width, height) = reader
+        .into_dimensions()
+        .map_err(|error| Error::malformed(path, Place::Whole, error.to_string(), "a complete PNG or JPEG image"))?;
+    Ok((width as usize, height as usize))
+}
+
+/// Whether a JPEG reaches its end: segment by segment, and through the entropy-coded data of its scans, where `FF 00` and
+/// restart markers are content (ITU T.81, B.1).
+fn is_whole_jpeg(bytes: &[u8]) -> bool {
+    let mut place = 2;
+    let mut in_scan = false;
+    loop {
+        let Some(next) = bytes.get(place..).and_then(|rest| rest.iter().position(|byte| *byte == 0xFF)) else {
+            return false;
+        };
+        place += next + 1;
+        match bytes.get(place) {
+            // Padding, content, or a marker without a segment.
+            Some(0xFF) => continue,
+            Some(0x00 | 0x01 | 0xD0..=0xD8) => place += 1,
+            Some(0xD9) if in_scan => return true,
+            Some(0xD9) | None => return false,
+            Some(marker) => {
+                in_scan |= *marker == 0xDA;
+                let &[high, low] = bytes.get(place + 1..).and_then(|rest| rest.first_chunk()).unwrap_or(&[0, 2]);
+                place += 1 + usize::from(u16::from_be_bytes([high, low]));
+            }
+        }
+    }
 }
 
 #[cfg(test)]

@@ -18,14 +18,15 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
-use serde::Deserialize;
 
 use super::calibration::Calibration;
-use super::drive::{Drive, FrameFiles, LARGEST_FRAME};
-use crate::error::{Error, Place, Result};
-use crate::files::is_plain;
+use super::drive::{Drive, FrameFiles};
+use super::image::image_size;
+use crate::error::{Error, Place, Result, excerpt};
+use crate::files::{Form, Header, Row, Table, is_plain, read_text};
 use crate::geometry::{Pinhole, Pose};
 use crate::systems::pose_from_quaternion;
+use crate::time::{EXPECTED_SECONDS, Time};
 
 /// Largest difference of two statements of one true pose, m and rad.
 const SAME_TRUTH: f64 = 1e-6;
@@ -58,45 +59,94 @@ pub struct Manifest {
 struct Sequence {
     intrinsics: [f64; 4],
     images: FrameFiles,
-    timestamps_s: BTreeMap<usize, f64>,
+    times: BTreeMap<usize, Time>,
     listed: Listed,
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Row {
-    system: String,
-    #[serde(default = "default_sequence")]
-    sequence: String,
-    source: usize,
-    target: usize,
-    source_image: PathBuf,
-    target_image: PathBuf,
-    fx: f64,
-    fy: f64,
-    cx: f64,
-    cy: f64,
-    x: f64,
-    y: f64,
-    z: f64,
-    qx: f64,
-    qy: f64,
-    qz: f64,
-    qw: f64,
-    true_x: Option<f64>,
-    true_y: Option<f64>,
-    true_z: Option<f64>,
-    true_qx: Option<f64>,
-    true_qy: Option<f64>,
-    true_qz: Option<f64>,
-    true_qw: Option<f64>,
-    depth: Option<PathBuf>,
-    source_time: Option<f64>,
-    target_time: Option<f64>,
+/// Its columns: those that must be there, the true pose, and what else may be.
+const REQUIRED: [&str; 16] = [
+    "system",
+    "source",
+    "target",
+    "source_image",
+    "target_image",
+    "fx",
+    "fy",
+    "cx",
+    "cy",
+    "x",
+    "y",
+    "z",
+    "qx",
+    "qy",
+    "qz",
+    "qw",
+];
+const TRUE_POSE: [&str; 7] = ["true_x", "true_y", "true_z", "true_qx", "true_qy", "true_qz", "true_qw"];
+const OPTIONAL: [&str; 4] = ["sequence", "depth", "source_time", "target_time"];
+
+/// A row, its numbers read.
+struct Measured<'a> {
+    system: &'a str,
+    sequence: &'a str,
+    /// Source and target.
+    frames: [usize; 2],
+    images: [&'a str; 2],
+    intrinsics: [f64; 4],
+    source_from_target: Pose,
+    true_source_from_target: Option<Pose>,
+    depth: Option<&'a str>,
+    times: [Option<Time>; 2],
 }
 
-fn default_sequence() -> String {
-    "sequence".to_owned()
+/// Where its columns are.
+struct Layout {
+    required: Vec<usize>,
+    true_pose: Option<Vec<usize>>,
+    optional: [Option<usize>; 4],
+}
+
+impl Layout {
+    fn find(header: &Header) -> Result<Self> {
+        let optional = OPTIONAL.map(|name| header.position(name));
+        Ok(Self { required: header.require(&REQUIRED)?, true_pose: header.group(&TRUE_POSE)?, optional })
+    }
+
+    fn read<'t>(&self, row: &Row<'t>) -> Result<Measured<'t>> {
+        let &[system, source, target, source_image, target_image, ref numbers @ ..] = self.required.as_slice() else {
+            unreachable!("all of them are there")
+        };
+        let [sequence, depth, source_time, target_time] =
+            self.optional.map(|column| column.filter(|&column| !row.is_empty(column)));
+        let true_pose = self.true_pose.as_ref().map(|columns| row.all_or_none(columns)).transpose()?.flatten();
+        let time = |column: Option<usize>| {
+            let read =
+                |column| Time::parse_seconds(row.cell(column)).ok_or_else(|| row.broken_cell(column, EXPECTED_SECONDS));
+            column.map(read).transpose()
+        };
+        Ok(Measured {
+            system: row.text(system)?,
+            sequence: sequence.map_or("sequence", |column| row.cell(column)),
+            frames: [row.frame(source)?, row.frame(target)?],
+            images: [row.text(source_image)?, row.text(target_image)?],
+            intrinsics: row.numbers(&numbers[..4])?,
+            source_from_target: pose_of(row, row.numbers(&numbers[4..])?)?,
+            true_source_from_target: true_pose.map(|numbers| pose_of(row, numbers)).transpose()?,
+            depth: depth.map(|column| row.cell(column)),
+            times: [time(source_time)?, time(target_time)?],
+        })
+    }
+}
+
+fn pose_of(row: &Row, [x, y, z, quaternion @ ..]: [f64; 7]) -> Result<Pose> {
+    let pose = pose_from_quaternion(Vector3::new(x, y, z), quaternion, row.path(), &row.place())?;
+    match pose.translation.norm() <= LARGEST_MOTION_M {
+        true => Ok(pose),
+        false => {
+            Err(row
+                .broken(format!("a motion of {:.1e} m", pose.translation.norm()), "at most 10 km between two frames"))
+        }
+    }
 }
 
 /// Axes of a vehicle (x forward, y left, z up) at the camera's own place into those of the camera.
@@ -112,20 +162,15 @@ impl Manifest {
     /// Names the line and column: a column is missing or unknown, a value is no number, a quaternion is not of unit
     /// length, frames do not follow one another, a measurement stands there twice, or two rows contradict each other.
     pub fn load(path: &Path) -> Result<Self> {
-        let file = std::fs::File::open(path).map_err(Error::io("read", path))?;
-        // A line ends with its line feed, so that lines of Windows files are counted right.
-        let mut reader = csv::ReaderBuilder::new()
-            .terminator(csv::Terminator::Any(b'\n'))
-            .trim(csv::Trim::All)
-            .from_reader(std::io::BufReader::new(file));
-        let header = reader.headers().map_err(|error| broken(path, &csv::StringRecord::new(), &error))?.clone();
+        let text = read_text(path)?;
+        let columns = [REQUIRED.as_slice(), &TRUE_POSE, &OPTIONAL].concat();
+        let form = Form { columns: &columns, widths: &[], described: "the columns of docs/own_data.md" };
+        let mut table = Table::open(&text, path, &form)?;
+        let layout = Layout::find(&table.header)?;
         let mut manifest = Self { path: path.to_owned(), sequences: BTreeMap::new() };
         let folder = path.parent().unwrap_or(Path::new(""));
-        let mut record = csv::StringRecord::new();
-        while reader.read_record(&mut record).map_err(|error| broken(path, &header, &error))? {
-            let row: Row = record.deserialize(Some(&header)).map_err(|error| broken(path, &header, &error))?;
-            let place = Place::Line(record.position().map_or(0, csv::Position::line) as usize);
-            manifest.add(row, folder, &place)?;
+        while let Some(row) = table.next()? {
+            manifest.add(&layout.read(&row)?, folder, &row)?;
         }
         if manifest.sequences.is_empty() {
             return Err(Error::malformed(path, Place::Whole, "no row", "a header and a row for each measurement"));
@@ -186,122 +231,78 @@ impl Manifest {
             right_images: FrameFiles::new(),
             scans: FrameFiles::new(),
             oxts_poses: BTreeMap::new(),
-            timestamps_s: sequence.timestamps_s.clone(),
+            times: sequence.times.clone(),
             problems: Vec::new(),
             listed: Some(sequence.listed.clone()),
         })
     }
 
-    fn add(&mut self, row: Row, folder: &Path, place: &Place) -> Result<()> {
-        let path = self.path.clone();
-        let malformed = |found: String, expected: &str| Error::malformed(&path, place.clone(), found, expected);
-        for (column, name) in [("system", &row.system), ("sequence", &row.sequence)] {
+    fn add(&mut self, measured: &Measured, folder: &Path, row: &Row) -> Result<()> {
+        for (column, name) in [("system", measured.system), ("sequence", measured.sequence)] {
             if !is_plain(name) {
                 let expected = "letters, digits, - and _, for it names files and columns";
-                return Err(malformed(format!("`{column}` = `{name}`"), expected));
+                return Err(row.broken(format!("`{column}` = {}", excerpt(name)), expected));
             }
         }
-        if row.target <= row.source || row.target > LARGEST_FRAME {
-            let found = format!("source {}, target {}", row.source, row.target);
-            return Err(malformed(found, &format!("a target frame after its source, at most {LARGEST_FRAME}")));
+        let pair @ [source, target] = measured.frames;
+        if target <= source {
+            return Err(row.broken(format!("source {source}, target {target}"), "a target frame after its source"));
         }
-        let intrinsics = [row.fx, row.fy, row.cx, row.cy];
-        if intrinsics.iter().any(|value| !value.is_finite()) || row.fx <= 0.0 || row.fy <= 0.0 {
-            return Err(malformed(format!("intrinsics {intrinsics:?}"), "finite ones, fx and fy above zero"));
+        let intrinsics = measured.intrinsics;
+        if intrinsics[0] <= 0.0 || intrinsics[1] <= 0.0 {
+            return Err(row.broken(format!("intrinsics {intrinsics:?}"), "fx and fy above zero"));
         }
-        let measured = [row.x, row.y, row.z, row.qx, row.qy, row.qz, row.qw];
-        let measured = pose_from_numbers(measured, &path, place)?;
-        if measured.translation.norm() > LARGEST_MOTION_M {
-            let found = format!("a motion of {:.1e} m", measured.translation.norm());
-            return Err(malformed(found, "at most 10 km between two frames"));
-        }
-        let truth = [row.true_x, row.true_y, row.true_z, row.true_qx, row.true_qy, row.true_qz, row.true_qw];
-        let truth = match truth.iter().flatten().count() {
-            0 => None,
-            7 => Some(pose_from_numbers(truth.map(|value| value.expect("counted")), &path, place)?),
-            count => {
-                return Err(malformed(format!("{count} of the 7 values true_x … true_qw"), "all of them, or none"));
-            }
-        };
-        let sequence = self.sequences.entry(row.sequence).or_insert_with(|| Sequence {
+        let sequence = self.sequences.entry(measured.sequence.to_owned()).or_insert_with(|| Sequence {
             intrinsics,
             images: FrameFiles::new(),
-            timestamps_s: BTreeMap::new(),
+            times: BTreeMap::new(),
             listed: Listed::default(),
         });
         if sequence.intrinsics != intrinsics {
             let expected = format!("{:?} as in the rows of this sequence before", sequence.intrinsics);
-            return Err(malformed(format!("intrinsics {intrinsics:?}"), &expected));
+            return Err(row.broken(format!("intrinsics {intrinsics:?}"), &expected));
         }
-        for (frame, image) in [(row.source, &row.source_image), (row.target, &row.target_image)] {
-            let image = folder.join(image);
-            let known = sequence.images.entry(frame).or_insert_with(|| image.clone());
-            if *known != image {
-                let expected = format!("{} as in a row before", known.display());
-                return Err(malformed(format!("image {} of frame {frame}", image.display()), &expected));
-            }
+        for (frame, image) in pair.into_iter().zip(measured.images) {
+            same_file(&mut sequence.images, frame, folder, image).map_err(|known| {
+                row.broken(format!("image {} of frame {frame}", excerpt(image)), &format!("{known} as in a row before"))
+            })?;
         }
-        let times = [(row.source, row.source_time), (row.target, row.target_time)];
-        for (frame, time) in times.into_iter().filter_map(|(frame, time)| Some((frame, time?))) {
-            if !time.is_finite() || *sequence.timestamps_s.entry(frame).or_insert(time) != time {
-                return Err(malformed(format!("time {time} of frame {frame}"), "one finite time for each frame"));
+        for (frame, time) in pair.into_iter().zip(measured.times).filter_map(|(frame, time)| Some((frame, time?))) {
+            let known = *sequence.times.entry(frame).or_insert(time);
+            if known != time {
+                return Err(row.broken(format!("time {time} of frame {frame}"), &format!("{known} as in a row before")));
             }
         }
         let listed = &mut sequence.listed;
-        if let Some(depth) = row.depth.filter(|depth| !depth.as_os_str().is_empty()) {
-            let depth = folder.join(depth);
-            let known = listed.depth.entry(row.target).or_insert_with(|| depth.clone());
-            if *known != depth {
-                let expected = format!("{} as in a row before", known.display());
-                return Err(malformed(format!("depth {} of frame {}", depth.display(), row.target), &expected));
-            }
+        if let Some(depth) = measured.depth {
+            same_file(&mut listed.depth, target, folder, depth).map_err(|known| {
+                row.broken(
+                    format!("depth {} of frame {target}", excerpt(depth)),
+                    &format!("{known} as in a row before"),
+                )
+            })?;
         }
-        let pair = (row.source, row.target);
-        if let Some(truth) = truth {
-            let known = listed.true_motions.entry(pair).or_insert(truth);
+        if let Some(truth) = measured.true_source_from_target {
+            let known = listed.true_motions.entry((source, target)).or_insert(truth);
             if Pose::error(known, &truth).abs().max() > SAME_TRUTH {
                 let expected = "that of a row before: a pair of frames has one";
-                return Err(malformed(format!("another true pose of frames {} and {}", pair.0, pair.1), expected));
+                return Err(row.broken(format!("another true pose of frames {source} and {target}"), expected));
             }
         }
-        let measurements = listed.measurements.entry(row.system.clone()).or_default();
-        if measurements.insert(pair, measured).is_some() {
-            let found = format!("{} frames {} and {} again", row.system, pair.0, pair.1);
-            return Err(malformed(found, "each pair of a system once"));
+        let measurements = listed.measurements.entry(measured.system.to_owned()).or_default();
+        if measurements.insert((source, target), measured.source_from_target).is_some() {
+            let found = format!("{} frames {source} and {target} again", excerpt(measured.system));
+            return Err(row.broken(found, "each pair of a system once"));
         }
         Ok(())
     }
 }
 
-fn pose_from_numbers(numbers: [f64; 7], path: &Path, place: &Place) -> Result<Pose> {
-    let [x, y, z, quaternion @ ..] = numbers;
-    if numbers.iter().any(|number| !number.is_finite()) {
-        return Err(Error::malformed(path, place.clone(), format!("a pose of {numbers:?}"), "finite numbers"));
-    }
-    pose_from_quaternion(Vector3::new(x, y, z), quaternion, path, place)
-}
-
-/// An error of the CSV reader, by line and column name.
-fn broken(path: &Path, header: &csv::StringRecord, error: &csv::Error) -> Error {
-    let line = error.position().map_or(1, csv::Position::line) as usize;
-    let found = match error.kind() {
-        csv::ErrorKind::Deserialize { err, .. } => {
-            let column = err.field().and_then(|field| header.get(field as usize));
-            column.map_or_else(|| err.kind().to_string(), |column| format!("`{column}`: {}", err.kind()))
-        }
-        _ => error.to_string(),
-    };
-    Error::malformed(path, Place::Line(line), found, "a row of a pairs manifest (docs/own_data.md)")
-}
-
-/// Width and height of an image file, px.
-fn image_size(path: &Path) -> Result<(usize, usize)> {
-    let reader = image::ImageReader::open(path).map_err(Error::io("read", path))?;
-    let reader = reader.with_guessed_format().map_err(Error::io("read", path))?;
-    let (width, height) = reader
-        .into_dimensions()
-        .map_err(|error| Error::malformed(path, Place::Whole, error.to_string(), "a complete PNG or JPEG image"))?;
-    Ok((width as usize, height as usize))
+/// Keeps the file of a frame; that of a row before, where it is another.
+fn same_file(files: &mut FrameFiles, frame: usize, folder: &Path, name: &str) -> Result<(), String> {
+    let file = folder.join(name);
+    let known = files.entry(frame).or_insert_with(|| file.clone());
+    if *known == file { Ok(()) } else { Err(known.display().to_string()) }
 }
 
 #[cfg(test)]
@@ -333,24 +334,44 @@ mod tests {
     }
 
     #[test]
+    fn times_are_the_images_own_to_the_nanosecond() {
+        let timed = |times: &str| read(&format!("{HEADER},source_time,target_time\n{ROW},{times}\n"));
+        let times = timed("1403636579.763555584,1.403636579813555456e9").unwrap().sequences["lab"].times.clone();
+        let nanoseconds = [(0, 1_403_636_579_763_555_584), (1, 1_403_636_579_813_555_456)];
+        assert_eq!(times, nanoseconds.map(|(frame, time)| (frame, Time::from_nanoseconds(time))).into());
+        let message = timed("1403636579763555584,").unwrap_err().to_string();
+        assert!(message.contains("line 2: found `source_time` = `1403636579763555584`; expected seconds"), "{message}");
+    }
+
+    #[test]
     fn what_is_wrong_is_named() {
         let twice = format!("{ROW}\n{ROW}");
         let other_truth = format!("{ROW}\n{}", ROW.replace("vo", "icp").replace("1.1", "1.2"));
         for (text, words) in [
-            (ROW.replace(",60,60", ",sixty,60"), ["line 2", "`fx`: invalid float"]),
+            (ROW.replace(",60,60", ",sixty,60"), ["line 2", "`fx` = `sixty`; expected a finite number"]),
             (ROW.replace(",60,60", ",-60,60"), ["line 2", "fx and fy above zero"]),
             (ROW.replace("lab,0,1", "lab,1,1"), ["line 2", "source 1, target 1"]),
             (ROW.replace("0,0,1,0,0,0,1,0", "0,0,1,0,0,0,2,0"), ["line 2", "length 2"]),
-            (ROW.replace("1.1,", ","), ["line 2", "6 of the 7 values"]),
+            (ROW.replace("1.1,", ","), ["line 2", "nothing in column `true_z`"]),
             (ROW.replace("vo", "v/o"), ["line 2", "`system` = `v/o`"]),
-            (twice, ["line 3", "vo frames 0 and 1 again"]),
+            (twice, ["line 3", "`vo` frames 0 and 1 again"]),
             (other_truth, ["line 3", "another true pose"]),
+            (ROW.replace("lab", "one/two"), ["line 2", "`sequence` = `one/two`"]),
             (String::new(), ["pairs.csv", "no row"]),
         ] {
             let message = read(&format!("{HEADER}\n{text}\n")).unwrap_err().to_string();
             assert!(words.iter().all(|word| message.contains(word)), "{message}\nexpected: {words:?}");
         }
-        let message = read(&format!("{}\n{ROW}\n", HEADER.replace("fx", "focal"))).unwrap_err().to_string();
-        assert!(message.contains("`focal`"), "{message}");
+        for (header, words) in [
+            (HEADER.replace("fx", "focal"), "an unknown column `focal`; expected the columns of docs/own_data.md"),
+            (HEADER.replace("fx", "fy"), "a second column `fy`"),
+            (HEADER.replace("fx,", ""), "no column `fx`"),
+            (HEADER.replace(',', ";"), "columns separated by semicolons"),
+            (HEADER.replace(',', "\t"), "columns separated by tabs"),
+            (format!(",{HEADER}"), "no name of column 1 of 26"),
+        ] {
+            let message = read(&format!("{header}\n{ROW}\n")).unwrap_err().to_string();
+            assert!(message.contains("line 1: found ") && message.contains(words), "{message}");
+        }
     }
 }

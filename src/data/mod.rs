@@ -6,6 +6,7 @@
 
 mod batch;
 mod calibration;
+mod coverage;
 mod dataset;
 mod drive;
 mod generated;
@@ -16,13 +17,16 @@ mod oxts;
 mod pairing;
 mod reader;
 
+pub(crate) use self::image::decode;
 pub use self::image::{RgbImage, decode_image, read_image};
 pub use batch::{EvidenceBatch, ImageBatch, Images, PairBatch, PairNumbers, RightBatch};
 pub use calibration::Calibration;
-pub use dataset::{Coverage, Dataset, Pair, PairId, PairScope, Split, SplitName};
+pub use coverage::Coverage;
+pub use dataset::{Dataset, Pair, PairId, PairScope, Split, SplitName};
 pub use drive::Drive;
 pub use loader::{BatchLoader, Choice, LoadedBatch, Request};
 pub use manifest::{Listed, Manifest, Motions, camera_axes_from_vehicle};
 pub(crate) use oxts::EARTH_RADIUS_M;
 pub use oxts::{OxtsPacket, world_from_vehicle};
 pub use reader::{BadFrame, PairReader, PairSample, RightImages};
+pub(crate) use reader::{SHOWS_NOTHING, needs_overlap};

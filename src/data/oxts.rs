@@ -34,7 +34,7 @@ impl OxtsPacket {
     /// Reads one packet file.
     ///
     /// # Errors
-    /// Not 30 finite numbers, or a latitude no Mercator projection has.
+    /// Not 30 finite numbers, a latitude no Mercator projection has, or no fix yet.
     pub fn load(path: &Path) -> Result<Self> {
         let text = read_text(path)?;
         let place = Place::Line(1);
@@ -51,11 +51,24 @@ impl OxtsPacket {
             pitch_rad: values[4],
             yaw_rad: values[5],
         };
+        if packet.latitude_deg == 0.0 && packet.longitude_deg == 0.0 {
+            let found = "latitude 0, longitude 0";
+            return Err(Error::malformed(path, place, found, "a position; the receiver had no fix yet"));
+        }
         if packet.latitude_deg.abs() >= 89.0 || packet.longitude_deg.abs() > 360.0 {
             let found = format!("latitude {}, longitude {}", packet.latitude_deg, packet.longitude_deg);
             return Err(Error::malformed(path, place, found, "degrees between the poles"));
         }
         Ok(packet)
+    }
+
+    /// The packet with its longitude told within half a turn of another's: no step of a drive is a journey round the globe.
+    pub fn beside(self, other: &Self) -> Self {
+        let turned = (self.longitude_deg - other.longitude_deg + 180.0).rem_euclid(360.0) - 180.0;
+        match (self.longitude_deg - other.longitude_deg).abs() > 180.0 {
+            true => Self { longitude_deg: other.longitude_deg + turned, ..self },
+            false => self,
+        }
     }
 
     /// Mercator scale of a drive: the cosine of its first latitude.
@@ -102,6 +115,20 @@ mod tests {
         let step = world_from_vehicle(&north, scale).translation - world_from_vehicle(&PACKET, scale).translation;
         assert_relative_eq!(step.y, 111.32, epsilon = 0.01);
         assert_relative_eq!(step.x, 0.0, epsilon = 1e-9);
+    }
+
+    #[test]
+    fn the_date_line_is_no_wall() {
+        let west = OxtsPacket { longitude_deg: -179.99999, ..PACKET };
+        let east = OxtsPacket { longitude_deg: 179.99999, ..PACKET };
+        let scale = PACKET.mercator_scale();
+        for (from, to, metres) in [(east, west, 1.4607), (west, east, -1.4607)] {
+            let step =
+                world_from_vehicle(&to.beside(&from), scale).translation - world_from_vehicle(&from, scale).translation;
+            // 2e-5 degrees of a circle of latitude of 2π 6378137 m cos 49°.
+            assert_relative_eq!(step.x, metres, epsilon = 1e-4);
+        }
+        assert_eq!(PACKET.beside(&OxtsPacket { longitude_deg: 8.3, ..PACKET }), PACKET);
     }
 
     #[test]

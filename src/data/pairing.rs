@@ -5,7 +5,8 @@ use std::path::PathBuf;
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
-use super::dataset::{Coverage, Pair, PairId, PairScope, SplitName};
+use super::coverage::Coverage;
+use super::dataset::{Pair, PairId, PairScope, SplitName};
 use super::drive::Drive;
 use super::manifest::{Manifest, camera_axes_from_vehicle};
 use crate::config::{Config, DriveConfig, MeasurementFrame};
@@ -71,9 +72,9 @@ impl<'a> Pairing<'a> {
 
         let count = |files: &BTreeMap<usize, PathBuf>| files.keys().filter(|&&frame| wanted_frame(frame)).count();
         let mut pairs = Vec::new();
-        let mut measured_pairs = Vec::new();
+        let (mut measured_pairs, mut measured_with_images) = (Vec::new(), Vec::new());
         for (system, measurements) in systems.iter().enumerate() {
-            let mut measured = 0;
+            let (mut measured, mut with_images) = (0, 0);
             for (&(source, target), measured_pose) in &measurements.relative_poses {
                 let true_motion = truth.motion(source, target);
                 if !wanted_frame(source) || (true_motion.is_none() && self.scope != PairScope::Measured) {
@@ -81,6 +82,7 @@ impl<'a> Pairing<'a> {
                 }
                 measured += 1;
                 let pair = (source, target);
+                with_images += usize::from(has_images(&pair));
                 if self.scope != PairScope::Poses && !(has_images(&pair) && has_depth(&pair)) {
                     continue;
                 }
@@ -119,6 +121,7 @@ impl<'a> Pairing<'a> {
                 });
             }
             measured_pairs.push(measured);
+            measured_with_images.push(with_images);
         }
         let coverage = Coverage {
             split,
@@ -132,6 +135,9 @@ impl<'a> Pairing<'a> {
             image_pairs: image_pairs.len(),
             depth_pairs,
             measured_pairs,
+            measured_with_images,
+            measured_frames: systems.iter().map(Measurements::span).collect(),
+            true_frames: truth.frames().min().zip(truth.frames().max()).map(|(first, last)| [first, last]),
             missing_files: systems.iter().map(|system| system.missing_file.clone()).collect(),
         };
         Ok((coverage, pairs))
@@ -154,6 +160,9 @@ impl<'a> Pairing<'a> {
                 drive.problems.len(),
                 drive.problems[0]
             )));
+        }
+        if let Some(first) = drive.problems.first() {
+            tracing::warn!("{name}: {} of its packets or times are left out; the first: {first}", drive.problems.len());
         }
         if self.config.model.stereo
             && self.scope != PairScope::Poses

@@ -3,10 +3,11 @@
 //! Decoded frames are cached within a fixed budget, so memory does not grow with the data set. A
 //! frame that cannot be read is remembered and counted; too many end the run.
 
-use std::collections::{BTreeMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard};
 
+use nalgebra::Vector2;
 use quick_cache::Weighter;
 use quick_cache::sync::Cache;
 
@@ -18,7 +19,7 @@ use crate::config::{Config, DepthConfig};
 use crate::depth::{DepthMap, load_depth};
 use crate::error::{Error, Result};
 use crate::geometry::{Pinhole, Pose, Tangent};
-use crate::model::EvidenceInput;
+use crate::model::{EvidenceInput, ImagePair};
 
 /// A pair ready for the network.
 #[derive(Clone, Debug)]
@@ -42,6 +43,17 @@ pub struct PairSample {
 }
 
 impl PairSample {
+    /// Whether a pixel of the target with known depth lies inside the source image (paper Eq. 5): else a warp is black.
+    pub fn shows_target(&self) -> bool {
+        let Pinhole { width, height, .. } = self.camera;
+        let (right, bottom) = (width as f64 - 1.0, height as f64 - 1.0);
+        self.target_depth.known().any(|(u, v, depth)| {
+            let point = self.camera.backproject(&Vector2::new(u as f64, v as f64), f64::from(depth));
+            let seen = self.camera.project(&self.source_from_target.transform_point(&point));
+            seen.is_some_and(|pixel| (0.0..=right).contains(&pixel.x) && (0.0..=bottom).contains(&pixel.y))
+        })
+    }
+
     /// Aligns the two images from the measured pose on; `errors_from_camera` are the axes of the errors.
     pub fn align(&self, errors_from_camera: &Pose) -> Evidence {
         let grey = |image: &RgbImage| GreyImage::from_rgb(image.width, image.height, &image.bytes);
@@ -67,7 +79,17 @@ pub struct RightImages {
     pub right_from_left: Pose,
 }
 
-/// A frame that could not be read.
+/// What is said of a pair that a warp cannot be made of.
+pub(crate) const SHOWS_NOTHING: &str =
+    "by its pose and depth the source image shows nothing of the target; is it source_from_target, in metres?";
+
+/// Whether a model looks at a warp alone, and so at nothing where the source shows nothing of the target; one with evidence
+/// says that there is no verdict.
+pub(crate) fn needs_overlap(pair: ImagePair, evidence: EvidenceInput) -> bool {
+    pair == ImagePair::Warped && evidence != EvidenceInput::Alignment
+}
+
+/// A frame that could not be read, or the source of a pair that is left out.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BadFrame {
     /// Drive name.
@@ -88,6 +110,10 @@ pub struct PairReader {
     evidence: EvidenceInput,
     frames: Cache<FrameKey, Frame, FrameWeighter>,
     bad_frames: Mutex<BTreeMap<FrameKey, String>>,
+    needs_overlap: bool,
+    /// System and frames of the pairs whose source shows nothing of the target.
+    blind_pairs: Mutex<BTreeSet<(usize, PairId)>>,
+    systems: Vec<String>,
     max_bad_frames: f64,
     max_bad_fraction: f64,
 }
@@ -137,6 +163,9 @@ impl PairReader {
             evidence: config.model.evidence,
             frames: Cache::with_weighter((cache_bytes / typical_frame) as usize + 1, cache_bytes, FrameWeighter),
             bad_frames: Mutex::default(),
+            needs_overlap: needs_overlap(config.model.pair, config.model.evidence),
+            blind_pairs: Mutex::default(),
+            systems: dataset.systems.clone(),
             max_bad_frames: max_bad_fraction * frames.len() as f64,
             max_bad_fraction,
         }
@@ -148,7 +177,8 @@ impl PairReader {
         self.cameras.first().map_or(0, |camera| planes * size_of::<f32>() * camera.width * camera.height)
     }
 
-    /// Reads a pair, or `None` when one of its frames is bad.
+    /// Reads a pair, or `None` when one of its frames is bad, or the source shows nothing of the target to a model that
+    /// looks at a warp of it.
     ///
     /// # Errors
     /// More frames are bad than the configuration allows.
@@ -193,20 +223,44 @@ impl PairReader {
             right,
             evidence: None,
         };
+        if self.needs_overlap && !sample.shows_target() {
+            self.leave_out(pair);
+            return Ok(None);
+        }
         if self.evidence == EvidenceInput::Alignment {
             sample.evidence = Some(sample.align(&pair.errors_from_camera));
         }
         Ok(Some(sample))
     }
 
-    /// The frames that could not be read so far.
+    /// The frames that could not be read so far, and the sources of pairs that were left out.
     pub fn bad_frames(&self) -> Vec<BadFrame> {
         let bad_frame = |(key, problem): (&FrameKey, &String)| {
             let (FrameKey::Image(drive, frame) | FrameKey::RightImage(drive, frame) | FrameKey::Depth(drive, frame)) =
                 *key;
             BadFrame { drive: self.drives[drive].name.clone(), frame, problem: problem.clone() }
         };
-        self.bad_frames_lock().iter().map(bad_frame).collect()
+        let mut bad: Vec<BadFrame> = self.bad_frames_lock().iter().map(bad_frame).collect();
+        let blind = self.blind_pairs.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        bad.extend(blind.iter().map(|&(system, id)| BadFrame {
+            drive: self.drives[id.drive].name.clone(),
+            frame: id.source,
+            problem: self.describe_blind(system, id),
+        }));
+        bad
+    }
+
+    fn describe_blind(&self, system: usize, id: PairId) -> String {
+        format!("{}, frames {} and {}: {SHOWS_NOTHING}", self.systems[system], id.source, id.target)
+    }
+
+    /// Remembers a pair whose source shows nothing of the target; the first is said.
+    fn leave_out(&self, pair: &Pair) {
+        let mut blind = self.blind_pairs.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        if blind.is_empty() {
+            tracing::warn!("leaving out a pair: {}", self.describe_blind(pair.system, pair.id));
+        }
+        blind.insert((pair.system, pair.id));
     }
 
     fn image(&self, key: FrameKey) -> Result<Arc<RgbImage>> {

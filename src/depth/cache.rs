@@ -10,8 +10,8 @@ use super::files::is_whole_png;
 use super::{DepthEstimator, DepthMap, ScaleRule, ScaleScope, read_depth_png};
 use crate::config::NetworkDepthConfig;
 use crate::data::Drive;
-use crate::error::{Error, Place, Result};
-use crate::files::{read_text, sha256_hex, write_atomically};
+use crate::error::{Error, Place, Result, shortened};
+use crate::files::{is_partial, read_text, sha256_hex, write_atomically};
 
 /// A name of its own: run folders have a manifest.json, and a cache can be cleared.
 const MANIFEST: &str = "depth_cache.json";
@@ -246,7 +246,7 @@ impl DepthCache {
         }
         serde_json::from_str(&read_text(&path)?).map(Some).map_err(|error| {
             let expected = "what `relcov depth` of this version writes; --force renews the cache";
-            Error::malformed(&path, Place::Whole, error.to_string(), expected)
+            Error::malformed(&path, Place::Whole, shortened(&error.to_string()), expected)
         })
     }
 }
@@ -254,6 +254,7 @@ impl DepthCache {
 /// A map's name: ten digits, and what a killed command leaves of one.
 fn is_map(path: &Path) -> bool {
     let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+    let name = if is_partial(name.as_ref()) { &name[1..] } else { name };
     let (frame, extension) = name.split_once('.').unwrap_or((name, ""));
     frame.len() == 10
         && frame.bytes().all(|byte| byte.is_ascii_digit())
@@ -288,7 +289,7 @@ mod tests {
         let cache = DepthCache { folder: folder.path().to_owned() };
         let drive = folder.path().join("2026_01_01/drive");
         std::fs::create_dir_all(&drive).unwrap();
-        for name in ["0000000003.png", "0000000004.png.77.partial", "notes.txt"] {
+        for name in ["0000000003.png", "0000000004.png.77.partial", ".0000000005.png.77.partial", "notes.txt"] {
             std::fs::write(drive.join(name), "x").unwrap();
         }
         let message = cache.clear().unwrap_err().to_string();

@@ -10,7 +10,7 @@ use super::monodepth2::{Monodepth2, PublishedWeights, disparity_to_depth, is_inp
 use super::{DepthMap, ScaleRule};
 use crate::data::RgbImage;
 use crate::error::{Error, Place, Result};
-use crate::files::{put_in_place, read_text, sha256_hex, write_atomically};
+use crate::files::{put_in_place, read_text, sha256_hex, temporary_name, write_atomically};
 
 /// What `relcov train-depth` leaves: weights, and what they are for.
 const METRIC_WEIGHTS: &str = "depth.safetensors";
@@ -170,7 +170,7 @@ impl DepthEstimator {
     pub fn save_metric(network: &Monodepth2, size: [usize; 2], range_m: DepthRange, folder: &Path) -> Result<()> {
         std::fs::create_dir_all(folder).map_err(Error::io("create the folder", folder))?;
         let weights = folder.join(METRIC_WEIGHTS);
-        let temporary = folder.join(format!(".{METRIC_WEIGHTS}.partial"));
+        let temporary = folder.join(temporary_name(METRIC_WEIGHTS));
         network.save_into(&mut SafetensorsStore::from_file(&temporary).overwrite(true)).map_err(|error| {
             let _ = std::fs::remove_file(&temporary);
             Error::Io { action: "write", path: weights.clone(), reason: std::io::Error::other(error.to_string()) }
@@ -204,7 +204,8 @@ impl DepthEstimator {
         })
     }
 
-    /// Depth maps at the network's size, in its units: metres after [`DepthMap::scaled`].
+    /// Depth maps at the network's size, in its units: metres after [`DepthMap::scaled`]. Where its aspect is not the
+    /// images', [`DepthMap::resized`] gives them that again.
     ///
     /// # Errors
     /// An image has another aspect, or the network's output is not finite.

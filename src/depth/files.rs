@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use image::{DynamicImage, ImageBuffer, ImageFormat, Luma};
 
 use super::DepthMap;
-use crate::data::Drive;
+use super::map::EXPECTED_ASPECT;
+use crate::data::{Drive, decode};
 use crate::error::{Error, Place, Result};
 use crate::files::{read_bytes, write_atomically};
 
@@ -35,14 +36,24 @@ pub fn read_depth_png(path: &Path) -> Result<DepthMap> {
     decode_depth_png(&read_bytes(path)?, path)
 }
 
+/// Reads the depth PNG of an image of this size.
+///
+/// # Errors
+/// As [`read_depth_png`]; or the map has another aspect.
+pub(super) fn read_depth_of(path: &Path, image_size: [usize; 2]) -> Result<DepthMap> {
+    let map = read_depth_png(path)?;
+    let fits = map.require_aspect(image_size);
+    fits.map_err(|found| Error::malformed(path, Place::Whole, found, EXPECTED_ASPECT))?;
+    Ok(map)
+}
+
 /// Decodes the content of a depth PNG; `origin` names it in errors.
 ///
 /// # Errors
 /// It cannot be decoded, or is not 16-bit grey.
 pub fn decode_depth_png(bytes: &[u8], path: &Path) -> Result<DepthMap> {
     let expected = "a 16-bit grey PNG, metres x 256";
-    let image = image::load_from_memory_with_format(bytes, ImageFormat::Png)
-        .map_err(|error| Error::malformed(path, Place::Whole, error.to_string(), expected))?;
+    let image = decode(bytes, path, expected)?;
     let DynamicImage::ImageLuma16(image) = image else {
         return Err(Error::malformed(path, Place::Whole, format!("{:?} pixels", image.color()), expected));
     };

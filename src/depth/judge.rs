@@ -5,9 +5,7 @@ use std::path::PathBuf;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-use super::{
-    DepthMap, DepthScores, ScaleRule, files, fill_gaps, native_depth, project_scan, read_depth_png, read_scan,
-};
+use super::{DepthMap, DepthScores, ScaleRule, files, fill_gaps, native_depth, project_scan, read_scan};
 use crate::config::{Config, DepthConfig};
 use crate::data::Drive;
 use crate::depth::FrameId;
@@ -113,7 +111,7 @@ impl<'a> DepthJudge<'a> {
     fn true_depth(&self, drive: &Drive, frame: usize) -> Result<Option<DepthMap>> {
         if let Some(template) = self.truth {
             let path = files::depth_path(template, drive, frame, &self.root);
-            return if path.is_file() { read_depth_png(&path).map(Some) } else { Ok(None) };
+            return if path.is_file() { files::read_depth_of(&path, drive.image_size()).map(Some) } else { Ok(None) };
         }
         let Some(scan) = drive.scans.get(&frame) else { return Ok(None) };
         let calibration = &drive.calibration;

@@ -72,7 +72,7 @@ impl LiveDepth {
         Self { source: Source::Missing(problem) }
     }
 
-    /// Depth of an image, m; any size.
+    /// Depth of an image, m; any size of its aspect.
     ///
     /// # Errors
     /// The source has none for a single image, or its network cannot take this one.
@@ -90,7 +90,9 @@ impl LiveDepth {
                 Ok(depth)
             }
             Source::Network { estimator, metres_a_unit } => {
-                Ok(estimator.estimate(std::slice::from_ref(image))?.swap_remove(0).scaled(*metres_a_unit))
+                let depth = estimator.estimate(std::slice::from_ref(image))?.swap_remove(0).scaled(*metres_a_unit);
+                // The network saw the image squeezed to an aspect of its own.
+                Ok(depth.resized(image.width, image.height))
             }
             Source::Missing(problem) => Err(Error::Data(problem.clone())),
         }

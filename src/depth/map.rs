@@ -2,6 +2,11 @@
 
 use std::ops::Range;
 
+/// How far the aspects of a map and its image may differ.
+const MOST_SQUEEZE: f64 = 1.05;
+/// What to do where they differ more.
+pub(crate) const EXPECTED_ASPECT: &str = "one of the image's aspect; bring it to the image's size first";
+
 /// A depth image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DepthMap {
@@ -35,6 +40,21 @@ impl DepthMap {
             |&(v, u): &(usize, usize)| (v as f64 + 0.5 - row.centre).powi(2) + (u as f64 + 0.5 - column.centre).powi(2);
         let known = pixels.filter(|&(v, u)| at(v, u) > 0.0);
         known.min_by(|a, b| distance(a).total_cmp(&distance(b))).map_or(0.0, |(v, u)| at(v, u))
+    }
+
+    /// That the map shows what an image of this size shows, at whatever size: it has its aspect, to 5 %, as the maps of
+    /// depth networks have that of their images.
+    ///
+    /// # Errors
+    /// It has another: turned, cropped, or of another camera; it says so with both sizes.
+    pub fn require_aspect(&self, [width, height]: [usize; 2]) -> Result<(), String> {
+        let squeeze = (self.width * height) as f64 / (self.height * width) as f64;
+        match (1.0 / MOST_SQUEEZE..=MOST_SQUEEZE).contains(&squeeze) {
+            true => Ok(()),
+            false => {
+                Err(format!("a depth map of {}x{} pixels for an image of {width}x{height}", self.width, self.height))
+            }
+        }
     }
 
     /// The map with every depth multiplied by a factor.
@@ -129,6 +149,17 @@ mod tests {
         depth_m[9] = 7.0;
         let map = DepthMap { width: 8, height: 8, depth_m };
         assert_eq!(map.resized(2, 2).depth_m, [7.0, 0.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn a_map_has_the_aspect_of_its_image() {
+        let map = |width, height| DepthMap { width, height, depth_m: Vec::new() };
+        for (width, height) in [(1242, 375), (621, 187), (640, 192), (1024, 320), (41, 12)] {
+            assert_eq!(map(width, height).require_aspect([1242, 375]), Ok(()));
+        }
+        for (width, height) in [(375, 1242), (1242, 300), (384, 384), (0, 5), (5, 0)] {
+            assert!(map(width, height).require_aspect([1242, 375]).is_err());
+        }
     }
 
     #[test]

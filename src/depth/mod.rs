@@ -28,6 +28,7 @@ pub use judge::{DepthJudge, JudgedDepth};
 pub use lidar::{project_scan, read_scan};
 pub use live::LiveDepth;
 pub use map::DepthMap;
+pub(crate) use map::EXPECTED_ASPECT;
 pub use precompute::{FrameId, PrecomputeSummary, Present, precompute};
 pub use scale::{ScaleRule, ScaleScope};
 pub use scores::DepthScores;

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::{DepthCache, DepthMap, files, fill_gaps, ground_plane_depth, project_scan, read_depth_png, read_scan};
+use super::{DepthCache, DepthMap, files, fill_gaps, ground_plane_depth, project_scan, read_scan};
 use crate::config::DepthConfig;
 use crate::data::{Drive, RgbImage};
 use crate::error::{Error, Result};
@@ -72,13 +72,18 @@ pub fn native_depth(
             let sparse = project_scan(&read_scan(path)?, &drive.calibration.camera2_from_velodyne, camera);
             Ok(fill_gaps(&sparse, image, *fill_radius_px))
         }
-        DepthConfig::Files { path } => read_depth_png(&files::depth_path(path, drive, frame, root)),
-        DepthConfig::Manifest {} => read_depth_png(listed_depth(drive, frame).ok_or_else(|| {
-            Error::Data(format!(
-                "{}, frame {frame}: the manifest lists no depth; choose another depth.source",
-                drive.name
-            ))
-        })?),
+        DepthConfig::Files { path } => {
+            files::read_depth_of(&files::depth_path(path, drive, frame, root), drive.image_size())
+        }
+        DepthConfig::Manifest {} => {
+            let path = listed_depth(drive, frame).ok_or_else(|| {
+                Error::Data(format!(
+                    "{}, frame {frame}: the manifest lists no depth; choose another depth.source",
+                    drive.name
+                ))
+            })?;
+            files::read_depth_of(path, drive.image_size())
+        }
         DepthConfig::Monodepth2(config) => DepthCache::of(config).load(drive, frame),
     }
 }

@@ -178,19 +178,19 @@ mod tests {
         let good = String::from_utf8(to_csv(&table()).unwrap()).unwrap();
         let rows: Vec<&str> = good.lines().collect();
         for (text, expected) in [
-            (good.replacen("vo,", ",", 1), "line 2: found no `system`"),
+            (good.replacen("vo,", ",", 1), "line 2: found nothing in column `system`"),
             (good.replacen("vo,", "../vo,", 1), "line 2: found a system named `../vo`"),
-            (good.replacen(",3e-1,", ",3e9,", 1), "line 2: found `error_z` = 3e9"),
+            (good.replacen(",3e-1,", ",3e9,", 1), "line 2: found `error_z` = `3e9`"),
             (good.replacen(",3e-1,", ",NaN,", 1), "line 2: found `error_z` = `NaN`; expected a finite number"),
             (
                 good.replacen("2.5e-1", "-1", 1),
-                "line 3: found `variance_x` = -1; expected a variance above zero, at most 1e12",
+                "line 3: found `variance_x` = `-1`; expected a variance above zero, at most 1e12",
             ),
-            (good.replacen("2.5e-1", "0", 1), "`variance_x` = 0"),
-            (good.replacen("2.5e-1", "", 1), "`variance_x` = ``"),
+            (good.replacen("2.5e-1", "0", 1), "`variance_x` = `0`"),
+            (good.replacen("2.5e-1", "", 1), "nothing in column `variance_x`"),
             (good.replacen("variance_yaw", "varianse_yaw", 1), "an unknown column `varianse_yaw`"),
             (good.replacen(",error_yaw", "", 1), "no column `error_yaw`"),
-            (good.replacen(",7e-2,", ",,", 1), "line 2: found `correction_x` = ``"),
+            (good.replacen(",7e-2,", ",,", 1), "line 2: found nothing in column `correction_x`"),
             (good.replacen(",7e-2,", ",7e-3,", 1), "corrected_x_x + correction_x * correction_x"),
             (good.replacen("corrected_x_yaw", "corected_x_yaw", 1), "an unknown column `corected_x_yaw`"),
             (good.replacen(",corrected_x_yaw", "", 1), "no column `corrected_x_yaw`"),
@@ -200,7 +200,7 @@ mod tests {
             ),
             (
                 format!("{good}{}\n", rows[1]),
-                "line 4: found vo 2011_09_30_drive_0034_sync frames 6 and 7 again, first on line 2",
+                "line 4: found vo `2011_09_30_drive_0034_sync` frames 6 and 7 again, first on line 2",
             ),
             (format!("{}\n", rows[0]), "a header and no row"),
             (format!("{good}vo,a\n"), "line 4"),

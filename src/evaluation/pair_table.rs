@@ -113,8 +113,9 @@ struct DriveNames<'a> {
 impl DriveNames<'_> {
     /// Where and when a pair was made; nothing measured yet.
     fn row(&self, pair: PairId) -> PairRow {
-        let times = &self.dataset.drives[pair.drive].timestamps_s;
-        let interval_s = times.get(&pair.target).zip(times.get(&pair.source)).map(|(target, source)| target - source);
+        let times = &self.dataset.drives[pair.drive].times;
+        let interval_s =
+            times.get(&pair.target).zip(times.get(&pair.source)).map(|(target, source)| target.since(*source));
         PairRow {
             drive: self.names[pair.drive].clone(),
             source: pair.source,

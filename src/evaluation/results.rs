@@ -17,7 +17,7 @@ use super::perturbation::PerturbationResponse;
 use super::prediction::share_at_floor;
 use super::recalibration::Recalibration;
 use super::separation::{Separation, separation};
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Place, Result, shortened};
 use crate::files::{read_text, write_atomically};
 use crate::geometry::{Conventions, Covariance6, ErrorFrame};
 
@@ -214,7 +214,7 @@ impl Evaluation {
     pub fn read(path: &Path) -> Result<Self> {
         let evaluation: Self = serde_json::from_str(&read_text(path)?).map_err(|error| {
             let expected = "an evaluation of this version of relcov; make it again with `relcov eval`";
-            Error::malformed(path, Place::Line(error.line()), error.to_string(), expected)
+            Error::malformed(path, Place::Line(error.line()), shortened(&error.to_string()), expected)
         })?;
         let ours = Conventions::new(evaluation.error_frame);
         let same = evaluation.schema == SCHEMA

@@ -1,17 +1,13 @@
 //! Relative poses as `relcov` itself reads them: `source,target,x,y,z,qx,qy,qz,qw` and 36 values, row by row.
 
 use super::{ExportOptions, MeasuredMotions, Perturbation, join, pose_numbers, rows};
-use crate::systems::{RIGHT, relative_pose_header};
+use crate::systems::{Statement, relative_pose_header};
 
 pub(super) fn render(measured: &MeasuredMotions, options: &ExportOptions) -> String {
     let side = options.side();
-    let stated = if side == Perturbation::Right { RIGHT } else { "perturbation left" };
-    let mut text = format!(
-        "# frame {}, {stated}, order x y z roll pitch yaw, m and rad{}\n{}",
-        measured.frame.name(),
-        options.remark(),
-        relative_pose_header()
-    );
+    let statement = Statement { frame: Some(measured.frame), right: side == Perturbation::Right };
+    let mut text = statement.line(options.remark());
+    text += &relative_pose_header();
     for motion in &measured.motions {
         let covariance = motion.covariance_on(side, options.floor);
         let numbers = pose_numbers(&motion.source_from_target).into_iter().chain(rows(covariance.matrix()));

@@ -4,6 +4,7 @@ use serde::Serialize;
 
 use super::{ExportOptions, MeasuredMotion, MeasuredMotions, Perturbation, Poses, Verdict, on_side, pose_numbers};
 use crate::geometry::{Conventions, Covariance6, Pose, Posterior};
+use crate::time::Time;
 
 /// A pose in JSON.
 #[derive(Serialize)]
@@ -88,8 +89,11 @@ struct Line<'a> {
     drive: &'a str,
     source: usize,
     target: usize,
+    /// Seconds, as near as doubles come.
     #[serde(skip_serializing_if = "Option::is_none")]
     times: Option<[f64; 2]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    times_ns: Option<[i64; 2]>,
     #[serde(skip_serializing_if = "Option::is_none")]
     corrected: Option<bool>,
     pose: JsonPose,
@@ -104,7 +108,8 @@ pub(super) fn render(measured: &MeasuredMotions, options: &ExportOptions) -> Str
             drive: &measured.drive,
             source: motion.source,
             target: motion.target,
-            times: motion.times_s,
+            times: motion.times.map(|times| times.map(Time::seconds)),
+            times_ns: motion.times.map(|times| times.map(Time::nanoseconds)),
             corrected: (options.poses == Poses::Corrected).then_some(true),
             pose: JsonPose::new(&motion.source_from_target),
             judgement: JsonJudgement::new(measured.frame.name(), motion, options.side(), options.floor),
@@ -136,7 +141,11 @@ mod tests {
     fn a_line_of_a_model_without_evidence_says_nothing_of_corrections() {
         let line = first_line(&measured(), &ExportOptions::default());
         let names: Vec<&str> = line.as_object().unwrap().keys().map(String::as_str).collect();
-        assert_eq!(names.len(), 11, "{names:?}");
+        assert_eq!(names.len(), 12, "{names:?}");
+        assert!(
+            render(&measured(), &ExportOptions::default())
+                .contains("\"times_ns\":[1403636579963555584,1403636580013555584]")
+        );
         for new in ["corrected", "correction", "corrected_pose", "corrected_covariance", "verdict", "reason"] {
             assert!(!names.contains(&new), "{names:?}");
         }

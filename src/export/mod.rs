@@ -278,6 +278,7 @@ fn join(numbers: impl IntoIterator<Item = f64>, separator: &str) -> String {
 pub(crate) mod tests {
     use super::*;
     use crate::geometry::{Posterior, Tangent};
+    use crate::time::Time;
 
     /// Two motions with full covariances.
     pub(crate) fn measured() -> MeasuredMotions {
@@ -287,7 +288,9 @@ pub(crate) mod tests {
             MeasuredMotion {
                 source,
                 target: source + 1,
-                times_s: Some([10.0 + 0.1 * source as f64, 10.1 + 0.1 * source as f64]),
+                times: Some([0, 1].map(|step| {
+                    Time::from_nanoseconds(1_403_636_579_763_555_584 + 50_000_000 * (source + step) as i64)
+                })),
                 source_from_target: Pose::exp(&tangent),
                 covariance: Covariance6::from_std_devs(&std_devs).transported(&skewed),
                 posterior: None,

@@ -4,6 +4,7 @@ use super::{Perturbation, on_side};
 use crate::alignment::NoVerdict;
 use crate::error::{Error, Result};
 use crate::geometry::{Covariance6, ErrorFrame, Pose, Posterior};
+use crate::time::Time;
 
 /// One system's measurements on one drive.
 #[derive(Clone, Debug, PartialEq)]
@@ -25,8 +26,8 @@ pub struct MeasuredMotion {
     pub source: usize,
     /// Frame i + 1.
     pub target: usize,
-    /// Their times, s, where they are known.
-    pub times_s: Option<[f64; 2]>,
+    /// Their times, where they are known.
+    pub times: Option<[Time; 2]>,
     /// Measured `ⁱT̂ᵢ₊₁`, m.
     pub source_from_target: Pose,
     /// Covariance of `log(T̂ T⁻¹)`, left, order ρ then φ, m² and rad², the same axes.

@@ -12,14 +12,12 @@ use crate::geometry::{Pose, hat};
 pub(super) fn render(measured: &MeasuredMotions, floor: Option<[f64; 2]>) -> String {
     let message = |motion: &MeasuredMotion| {
         let [x, y, z, qx, qy, qz, qw] = pose_numbers(&motion.source_from_target);
-        let seconds = motion.times_s.map_or(0.0, |[_, target]| target);
-        let sec = seconds.floor();
+        let (sec, nanosec) = motion.times.map_or((0, 0), |[_, target]| target.stamp());
         let covariance = motion.covariance.mapped(&position_jacobian(&motion.source_from_target));
         let covariance = floor.map_or(covariance, |floor| covariance.with_floor(floor));
         let message = json!({
             "header": {
-                // A second has fewer than 1e9 nanoseconds, rounding included.
-                "stamp": { "sec": sec as i64, "nanosec": (((seconds - sec) * 1e9).round() as u32).min(999_999_999) },
+                "stamp": { "sec": sec, "nanosec": nanosec },
                 "frame_id": measured.frame.name(),
             },
             "pose": {
@@ -72,7 +70,7 @@ mod tests {
         let message: serde_json::Value = serde_json::from_str(text.lines().next().unwrap()).unwrap();
         let values = message["pose"]["covariance"].as_array().unwrap();
         assert_eq!((values.len(), values[0].as_f64(), values[35].as_f64()), (36, Some(1e-6), Some(1e-8)));
-        assert_eq!(message["header"]["stamp"]["sec"], 10);
-        assert_eq!(message["header"]["stamp"]["nanosec"], 500_000_000);
+        assert_eq!(message["header"]["stamp"]["sec"], 1_403_636_580);
+        assert_eq!(message["header"]["stamp"]["nanosec"], 13_555_584);
     }
 }

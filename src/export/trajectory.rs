@@ -8,14 +8,18 @@ use super::{
 use crate::error::Result;
 use crate::fusion::FusedTrajectory;
 use crate::geometry::{Covariance6, Pose};
+use crate::time::Time;
 
 /// `t x y z qx qy qz qw`, t in seconds, or the frame where times are not known.
 pub(super) fn render_tum(measured: &MeasuredMotions, options: &ExportOptions) -> Result<String> {
     let chain = Chain::of(measured)?;
-    let begin = measured.motions[0].times_s.map(|[source, _]| source);
-    let ends = measured.motions.iter().map(|motion| motion.times_s.map(|[_, target]| target));
-    let times: Option<Vec<f64>> = std::iter::once(begin).chain(ends).collect();
-    let times = times.unwrap_or_else(|| chain.frames.iter().map(|&frame| frame as f64).collect());
+    let begin = measured.motions[0].times.map(|[source, _]| source);
+    let ends = measured.motions.iter().map(|motion| motion.times.map(|[_, target]| target));
+    let times: Option<Vec<Time>> = std::iter::once(begin).chain(ends).collect();
+    let times: Vec<String> = match times {
+        Some(times) => times.iter().map(Time::to_string).collect(),
+        None => chain.frames.iter().map(usize::to_string).collect(),
+    };
     let side = options.side();
     let what = match options.trajectory {
         TrajectoryCovariance::None => String::new(),
@@ -25,9 +29,8 @@ pub(super) fn render_tum(measured: &MeasuredMotions, options: &ExportOptions) ->
     let (frame, how) = (measured.frame.name(), options.remark());
     let mut text = format!("# t x y z qx qy qz qw; first_from_frame{how}, axes: {frame}{what}\n");
     for (row, time) in times.iter().enumerate() {
-        let pose = std::iter::once(*time).chain(pose_numbers(&chain.poses[row]));
-        text += &join(pose.chain(covariance(measured, &chain, row, options)), " ");
-        text.push('\n');
+        let numbers = pose_numbers(&chain.poses[row]).into_iter().chain(covariance(measured, &chain, row, options));
+        text += &format!("{time} {}\n", join(numbers, " "));
     }
     Ok(text)
 }
@@ -89,9 +92,13 @@ mod tests {
         let chain = Chain::of(&measured).unwrap();
         let kitti = Format::Kitti.render(&measured, &plain).unwrap();
         let poses = parse_kitti_trajectory(&kitti, Path::new("p"), 4).unwrap();
-        let times = BTreeMap::from([(4, 10.4), (5, 10.5), (6, 10.6)]);
-        let tum = parse_tum_trajectory(&Format::Tum.render(&measured, &plain).unwrap(), Path::new("p"), &times, 1e-3)
-            .unwrap();
+        let times = chain
+            .frames
+            .iter()
+            .map(|&frame| (frame, Time::from_nanoseconds(1_403_636_579_763_555_584 + 50_000_000 * frame as i64)));
+        let times: BTreeMap<usize, Time> = times.collect();
+        let tum =
+            parse_tum_trajectory(&Format::Tum.render(&measured, &plain).unwrap(), Path::new("p"), &times, 0.0).unwrap();
         for (frame, expected) in chain.frames.iter().zip(&chain.poses) {
             assert!((poses[frame].matrix() - expected.matrix()).norm() < 1e-14);
             assert!((tum[frame].matrix() - expected.matrix()).norm() < 1e-14);

@@ -1,14 +1,15 @@
 //! Absolute fixes: positions, or whole poses, that some receiver knows now and then.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use nalgebra::{Rotation3, Vector3};
 
 use crate::error::{Error, Place, Result};
-use crate::files::parse_numbers;
+use crate::files::{Form, Table};
 use crate::geometry::Pose;
 use crate::synthetic::{Purpose, Random};
-use crate::systems::{Trajectory, parse_frame_index, pose_from_quaternion};
+use crate::systems::{Trajectory, pose_from_quaternion};
 
 /// Standard deviation of the attitude that simulated fixes give once, for the first frame, rad.
 const FIRST_ATTITUDE_RAD: f64 = 0.02;
@@ -58,44 +59,49 @@ impl SimulatedFixes {
     }
 }
 
+/// Columns of a position, and those that a whole pose has besides.
+const POSITION: [&str; 7] = ["frame", "x", "y", "z", "std_x", "std_y", "std_z"];
+const ATTITUDE: [&str; 7] = ["qx", "qy", "qz", "qw", "std_roll", "std_pitch", "std_yaw"];
+
 /// Parses a CSV of fixes: `frame,x,y,z,std_x,std_y,std_z`, and for whole poses also
-/// `qx,qy,qz,qw,std_roll,std_pitch,std_yaw`. Lines that begin with `#` or `frame` are passed over.
+/// `qx,qy,qz,qw,std_roll,std_pitch,std_yaw`; by the names of a header, in any order, or without one in this. Lines that
+/// begin with `#` are remarks.
 ///
 /// # Errors
-/// Wrong count, numbers that are not finite, a standard deviation that is not positive, a quaternion far from unit
-/// length, or a frame that stands there twice; the message names the line.
+/// A column is unknown or missing, a cell empty or not a finite number, a standard deviation not positive, a quaternion far
+/// from unit length, or a frame stands there twice; the message names the line.
 pub fn parse_fixes(text: &str, path: &Path) -> Result<Vec<Fix>> {
+    let columns = [POSITION, ATTITUDE].concat();
+    let form = Form {
+        columns: &columns,
+        widths: &[POSITION.len(), columns.len()],
+        described: "frame,x,y,z,std_x,std_y,std_z, and for poses qx,qy,qz,qw,std_roll,std_pitch,std_yaw",
+    };
+    let mut table = Table::open(text, path, &form)?;
+    let position_columns = table.header.require(&POSITION)?;
+    let attitude_columns = table.header.group(&ATTITUDE)?;
     let mut fixes: Vec<Fix> = Vec::new();
-    for (index, line) in text.trim_start_matches('\u{feff}').lines().enumerate() {
-        let line = line.trim();
-        if line.is_empty() || line.starts_with('#') || (fixes.is_empty() && line.starts_with("frame")) {
-            continue;
-        }
-        let place = Place::Line(index + 1);
-        let malformed = |found: String, expected: &str| Error::malformed(path, place.clone(), found, expected);
-        let values = parse_numbers(&line.replace(',', " "), path, &place)?;
-        let (position, attitude) = match values.as_slice() {
-            position @ [_, _, _, _, _, _, _] => (position, None),
-            [position @ .., qx, qy, qz, qw, roll, pitch, yaw] if position.len() == 7 => {
-                let rotation = pose_from_quaternion(Vector3::zeros(), [*qx, *qy, *qz, *qw], path, &place)?.rotation;
-                (position, Some((rotation, Vector3::new(*roll, *pitch, *yaw))))
-            }
-            _ => {
-                let found = format!("{} values", values.len());
-                let expected = "7 (frame,x,y,z,std_x,std_y,std_z), or 14 with qx,qy,qz,qw,std_roll,std_pitch,std_yaw";
-                return Err(malformed(found, expected));
+    let mut frames = BTreeSet::new();
+    while let Some(row) = table.next()? {
+        let frame = row.frame(position_columns[0])?;
+        let position = row.numbers::<6>(&position_columns[1..])?;
+        let attitude = attitude_columns.as_ref().map(|columns| row.all_or_none::<7>(columns)).transpose()?.flatten();
+        let attitude = match attitude {
+            None => None,
+            Some([qx, qy, qz, qw, roll, pitch, yaw]) => {
+                let pose = pose_from_quaternion(Vector3::zeros(), [qx, qy, qz, qw], path, &row.place())?;
+                Some((pose.rotation, Vector3::new(roll, pitch, yaw)))
             }
         };
-        let frame = parse_frame_index(position[0], path, &place)?;
-        let position_std_m = Vector3::from_column_slice(&position[4..7]);
+        let position_std_m = Vector3::from_column_slice(&position[3..]);
         let deviations = position_std_m.iter().chain(attitude.iter().flat_map(|(_, std)| std.iter()));
         if let Some(std) = deviations.into_iter().find(|std| !DEVIATIONS.contains(*std)) {
-            return Err(malformed(format!("a standard deviation of {std}"), "one from 1e-9 to 1e9"));
+            return Err(row.broken(format!("a standard deviation of {std}"), "one from 1e-9 to 1e9"));
         }
-        if fixes.iter().any(|fix| fix.frame == frame) {
-            return Err(malformed(format!("frame {frame} again"), "each frame once"));
+        if !frames.insert(frame) {
+            return Err(row.broken(format!("frame {frame} again"), "each frame once"));
         }
-        fixes.push(Fix { frame, position: Vector3::from_column_slice(&position[1..4]), position_std_m, attitude });
+        fixes.push(Fix { frame, position: Vector3::from_column_slice(&position[..3]), position_std_m, attitude });
     }
     if fixes.is_empty() {
         return Err(Error::malformed(path, Place::Whole, "no fix", "a row for each: frame,x,y,z,std_x,std_y,std_z"));
@@ -126,7 +132,8 @@ mod tests {
         assert_eq!((fixes[0].frame, fixes[0].position_std_m.z, fixes[0].attitude.is_some()), (3, 1.0, false));
         assert_eq!(fixes[1].attitude.unwrap().1.z, 0.2);
         for (text, word) in [
-            ("1,2,3\n", "3 values"),
+            ("1,2,3\n", "3 cells"),
+            ("frame,lat,lon,alt,std_x,std_y,std_z\n", "line 1: found an unknown column `lat`"),
             ("1,0,0,0,1,0,1\n", "standard deviation of 0"),
             ("1,0,0,0,1,1,1\n1,0,0,0,1,1,1\n", "line 2"),
             ("1,0,0,0,1,1,1,0,0,0,2,1,1,1\n", "length 2"),

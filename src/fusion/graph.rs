@@ -11,13 +11,16 @@ use nalgebra::{Matrix3, Matrix6, Quaternion, UnitQuaternion, Vector3};
 use super::fixes::{Fix, anchor};
 use super::solver::{marginals, solve};
 use crate::error::{Error, Result};
-use crate::geometry::{Covariance6, Pose, ROTATION, TRANSLATION};
+use crate::geometry::{Covariance6, Pose, ROTATION, TRANSLATION, hat};
 use crate::systems::{RelativePose, Trajectory, chain_poses};
 
 assign_symbols!(X: SE3);
 
 /// Fixes that place a trajectory in the world when none has an attitude.
 const FEWEST_POSITIONS: usize = 3;
+
+/// Standard deviation of a rotation beyond which nothing is known of it, rad: a linearised covariance ends there.
+const LEAST_KNOWN_RAD: f64 = 0.5;
 
 /// One system's relative poses on one drive.
 #[derive(Clone, Debug)]
@@ -76,7 +79,7 @@ impl Residual1 for PositionResidual {
 ///
 /// # Errors
 /// There is no motion; a covariance is not positive definite; frames hang together by no motion; the fixes do not place
-/// the trajectory in the world, or one is of a frame that no motion reaches; or the solver does not converge.
+/// the trajectory in the world, or say how it is turned there only to more than half a radian; one is of a frame that no motion reaches; or the solver does not converge.
 pub fn fuse(odometry: &[Odometry], fixes: &[Fix]) -> Result<FusedTrajectory> {
     let local = chain(odometry)?;
     let number: BTreeMap<usize, u32> = local.keys().enumerate().map(|(index, &frame)| (frame, index as u32)).collect();
@@ -90,6 +93,7 @@ pub fn fuse(odometry: &[Odometry], fixes: &[Fix]) -> Result<FusedTrajectory> {
         _ => fixes.iter().map(|fix| Fix { position: fix.position - origin, ..fix.clone() }).collect(),
     };
     let world_from_local = place(&local, &anchors)?;
+    require_turned(&local, &world_from_local, &anchors)?;
 
     let mut graph = Graph::new();
     for Odometry { system, motions } in odometry {
@@ -182,6 +186,34 @@ fn place(local: &Trajectory, fixes: &[Fix]) -> Result<Pose> {
     let handed = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * v_t).determinant().signum()));
     let rotation = nalgebra::Rotation3::from_matrix_unchecked(u * handed * v_t);
     Ok(Pose::new(rotation, to - rotation * from))
+}
+
+/// That the fixes say how the trajectory is turned in the world, by their own standard deviations: positions near a line
+/// say little of the rotation about it.
+fn require_turned(local: &Trajectory, world_from_local: &Pose, fixes: &[Fix]) -> Result<()> {
+    // Information of a rotation and a shift of the whole trajectory, axes of the world.
+    let (mut rotation, mut mixed, mut shift) = (Matrix3::zeros(), Matrix3::zeros(), Matrix3::zeros());
+    for fix in fixes {
+        let body = *world_from_local * local[&fix.frame];
+        let known = Matrix3::from_diagonal(&fix.position_std_m.map(|std| std.powi(-2)));
+        let turned = -hat(&body.translation);
+        rotation += turned.transpose() * known * turned;
+        mixed += turned.transpose() * known;
+        shift += known;
+        if let Some((_, deviations)) = &fix.attitude {
+            let known = Matrix3::from_diagonal(&deviations.map(|std| std.powi(-2)));
+            rotation += body.rotation.matrix() * known * body.rotation.matrix().transpose();
+        }
+    }
+    let left = shift.try_inverse().map(|inverse| rotation - mixed * inverse * mixed.transpose());
+    let information = left.map_or(0.0, |left| (0.5 * (left + left.transpose())).symmetric_eigenvalues().min());
+    let std_rad = information.max(0.0).sqrt().recip();
+    match std_rad <= LEAST_KNOWN_RAD {
+        true => Ok(()),
+        false => Err(Error::Data(format!(
+            "the fixes lie so near to a line that the rotation about it is known to {std_rad:.1e} rad; give positions farther from it, or a fix with an attitude"
+        ))),
+    }
 }
 
 /// Noise of an information matrix, ρ then φ here and φ then ρ there.
@@ -285,6 +317,25 @@ mod tests {
         let expected = 1.0 / (1.0 / 0.01_f64.powi(2) + 1.0 / 0.02_f64.powi(2));
         let forward = fused.covariances[&1].left_of(&fused.poses[&1]).variance()[0];
         assert!((forward / expected - 1.0).abs() < 1e-4, "{forward} against {expected}");
+    }
+
+    #[test]
+    fn what_fixes_near_a_line_do_not_say_is_refused() {
+        // A millimetre beside a straight road, positions to half a metre: its roll is known to some 500 rad.
+        let bend = |angle: f64| Pose::exp(&Tangent::new(1.0, 0.0, 0.0, 0.0, angle, 0.0));
+        let mut truth = BTreeMap::from([(0, Pose::identity())]);
+        for (frame, angle) in [5e-4, 0.0, -5e-4, 5e-4].into_iter().enumerate() {
+            truth.insert(frame + 1, truth[&frame] * bend(angle));
+        }
+        let fixes = |std: f64| [0, 2, 4].map(|frame| position(frame, &truth[&frame], std)).to_vec();
+        let odometry = [odometry("vo", &truth, 0.02, &[])];
+        let message = fuse(&odometry, &fixes(0.5)).unwrap_err().to_string();
+        assert!(message.contains("the rotation about it is known to"), "{message}");
+        // Known to micrometres they say it; and so does one attitude.
+        assert!(fuse(&odometry, &fixes(1e-5)).is_ok());
+        let attitude = Some((truth[&0].rotation, Vector3::repeat(0.01)));
+        let one = Fix { attitude, ..position(0, &truth[&0], 0.5) };
+        assert!(fuse(&odometry, &[vec![one], fixes(0.5)[1..].to_vec()].concat()).is_ok());
     }
 
     #[test]

@@ -17,16 +17,34 @@ pub enum CovarianceError {
     /// An entry is NaN or infinite.
     #[error("entry ({0}, {1}) is not finite")]
     NotFinite(usize, usize),
-    /// Two mirrored entries differ.
-    #[error("entries ({0}, {1}) and ({1}, {0}) differ")]
-    NotSymmetric(usize, usize),
+    /// Two mirrored entries differ by more than rounding.
+    #[error("entries ({0}, {1}) and ({1}, {0}) differ by {2:.1e} of sqrt(c{0}{0} c{1}{1})")]
+    NotSymmetric(usize, usize, f64),
     /// A direction has negative variance.
-    #[error("smallest eigenvalue {0:.3e} is negative")]
+    #[error("smallest eigenvalue {0:.1e} of the correlations is negative")]
     NegativeVariance(f64),
 }
 
+/// Largest difference of mirrored entries, in units of `sqrt(c_ii c_jj)`: what arithmetic in f32 leaves, and six digits.
+const SYMMETRY_TOLERANCE: f64 = 1e-5;
+
+/// How far below zero eigenvalues of correlations may lie, for the same reasons.
+const LEAST_EIGENVALUE: f64 = 1e-6;
+
+impl CovarianceError {
+    /// What to do about it.
+    pub fn remedy(self) -> &'static str {
+        match self {
+            Self::NotFinite(..) => "finite numbers",
+            Self::NotSymmetric(..) => "a symmetric matrix, to 1e-5; write 0.5 (C + Cᵀ) if that is meant",
+            Self::NegativeVariance(_) => "a covariance: no direction with a negative variance",
+        }
+    }
+}
+
 impl Covariance6 {
-    /// A covariance from a full matrix.
+    /// A covariance from a full matrix. Mirrored entries that differ by no more than 1e-5 of `sqrt(c_ii c_jj)`, as
+    /// those computed in f32 do, are averaged.
     ///
     /// # Errors
     /// An entry is not finite, the matrix is not symmetric, or an eigenvalue is negative.
@@ -36,18 +54,22 @@ impl Covariance6 {
         if let Some((row, column)) = entries().find(|&entry| !matrix[entry].is_finite()) {
             return Err(CovarianceError::NotFinite(row, column));
         }
-        for row in 0..6 {
-            for column in 0..6 {
-                if (matrix[(row, column)] - matrix[(column, row)]).abs() > 1e-9 * scale {
-                    return Err(CovarianceError::NotSymmetric(row.min(column), row.max(column)));
-                }
+        for (row, column) in entries().filter(|(row, column)| row < column) {
+            let difference = (matrix[(row, column)] - matrix[(column, row)]).abs();
+            let unit = (matrix[(row, row)] * matrix[(column, column)]).abs().sqrt();
+            if difference > (SYMMETRY_TOLERANCE * unit).max(1e-9 * scale) {
+                return Err(CovarianceError::NotSymmetric(row, column, difference / unit));
             }
         }
-        let smallest = matrix.symmetric_eigenvalues().min();
-        if smallest < -1e-9 * scale {
+        let symmetrised = symmetric(&matrix);
+        // Of correlations, so that metres do not hide what is wrong with radians.
+        let units = symmetrised.diagonal().map(|variance| if variance > 0.0 { variance.sqrt() } else { scale.sqrt() });
+        let correlations = Matrix6::from_fn(|row, column| symmetrised[(row, column)] / (units[row] * units[column]));
+        let smallest = if scale > 0.0 { correlations.symmetric_eigenvalues().min() } else { 0.0 };
+        if smallest < -LEAST_EIGENVALUE {
             return Err(CovarianceError::NegativeVariance(smallest));
         }
-        Ok(Self(symmetric(&matrix)))
+        Ok(Self(symmetrised))
     }
 
     /// `R = D(exp(d))` (paper, below Eq. 6).
@@ -214,7 +236,7 @@ mod tests {
     fn matrices_that_are_no_covariance_are_named() {
         let mut matrix = Matrix6::identity();
         matrix[(0, 1)] = 0.5;
-        assert_eq!(Covariance6::from_matrix(matrix), Err(CovarianceError::NotSymmetric(0, 1)));
+        assert_eq!(Covariance6::from_matrix(matrix), Err(CovarianceError::NotSymmetric(0, 1, 0.5)));
         matrix[(1, 0)] = f64::NAN;
         assert_eq!(Covariance6::from_matrix(matrix), Err(CovarianceError::NotFinite(1, 0)));
         assert!(matches!(Covariance6::from_matrix(-Matrix6::identity()), Err(CovarianceError::NegativeVariance(_))));

@@ -25,6 +25,11 @@ impl ErrorFrame {
         }
     }
 
+    /// The axes of a name.
+    pub(crate) fn of(name: &str) -> Option<Self> {
+        [Self::Vehicle, Self::Camera, Self::World].into_iter().find(|frame| frame.name() == name)
+    }
+
     /// What its axes are, for table headers.
     pub fn axes(self) -> &'static str {
         match self {

@@ -43,13 +43,11 @@ impl Model {
             let output_from_vehicle = axes(output)?;
             let estimate =
                 in_axes(self.recalibrated(prediction.estimate()), &axes(self.error_frame)?, &output_from_vehicle);
-            let times = &drive.timestamps_s;
-            let times_s =
-                times.get(&pair.source).zip(times.get(&pair.target)).map(|(&source, &target)| [source, target]);
+            let times = drive.times.get(&pair.source).zip(drive.times.get(&pair.target));
             groups.entry((*system, pair.drive)).or_default().push(MeasuredMotion {
                 source: pair.source,
                 target: pair.target,
-                times_s,
+                times: times.map(|(&source, &target)| [source, target]),
                 source_from_target: Pose::exp(motion).conjugated_by(&output_from_vehicle),
                 covariance: estimate.covariance,
                 posterior: estimate.posterior,

@@ -10,18 +10,19 @@ use std::path::Path;
 use std::sync::Arc;
 
 use burn::tensor::Device;
-use nalgebra::Vector2;
 use rayon::prelude::*;
 
 use crate::alignment::Evidence;
 use crate::config::{Config, DepthConfig};
-use crate::data::{PairNumbers, PairSample, RgbImage, RightImages, camera_axes_from_vehicle};
-use crate::depth::{DepthMap, LiveDepth};
+use crate::data::{
+    PairNumbers, PairSample, RgbImage, RightImages, SHOWS_NOTHING, camera_axes_from_vehicle, needs_overlap,
+};
+use crate::depth::{DepthMap, EXPECTED_ASPECT, LiveDepth};
 use crate::error::{Error, Result};
 use crate::evaluation::{Recalibration, read_values};
 use crate::export::Verdict;
 use crate::geometry::{Covariance6, ErrorFrame, Pinhole, Pose, Posterior, Tangent};
-use crate::model::{Architecture, CovarianceModel, Estimate, EvidenceInput, ImagePair};
+use crate::model::{Architecture, CovarianceModel, Estimate, EvidenceInput};
 use crate::network::Head;
 use crate::training::RunFolder;
 
@@ -72,7 +73,7 @@ pub struct Measurement {
     pub source_image: RgbImage,
     /// `I_{i+1}`, the same size.
     pub target_image: RgbImage,
-    /// Depth of the target image, m along the optical axis, 0 = unknown; any size. [`DepthEstimator`](crate::depth::DepthEstimator)
+    /// Depth of the target image, m along the optical axis, 0 = unknown; of the network's size, or any of the image's aspect. [`DepthEstimator`](crate::depth::DepthEstimator)
     /// makes it from the image by a network.
     pub target_depth: DepthMap,
     /// Intrinsics of both images at their size.
@@ -308,8 +309,7 @@ impl Model {
         let Measurement { source_image, target_image, target_depth, camera, source_from_target, right, .. } =
             measurement;
         let with_evidence = self.has_evidence();
-        // A warp needs something to show; evidence may say that there is nothing.
-        let must_show = self.architecture.pair == ImagePair::Warped && !with_evidence;
+        let must_show = needs_overlap(self.architecture.pair, self.architecture.evidence);
         let right = right.as_ref().filter(|_| self.architecture.stereo);
         if self.architecture.stereo && right.is_none() {
             return Err(Error::Data(
@@ -336,6 +336,12 @@ impl Model {
         if target_depth.depth_m.len() != target_depth.width * target_depth.height || target_depth.depth_m.is_empty() {
             return Err(Error::Data("the depth map does not hold one depth for each of its pixels".to_owned()));
         }
+        let (width, height) = (self.architecture.width, self.architecture.height);
+        // One of the network's own size shows what the network sees.
+        if [target_depth.width, target_depth.height] != [width, height] {
+            let fits = target_depth.require_aspect([camera.width, camera.height]);
+            fits.map_err(|found| Error::Data(format!("found {found}; expected {EXPECTED_ASPECT}")))?;
+        }
         if must_show && target_depth.known().next().is_none() {
             return Err(Error::Data(
                 "the depth of not one pixel is known (0 = unknown, else metres): there is nothing to warp".to_owned(),
@@ -349,15 +355,8 @@ impl Model {
                 "the measurement's intrinsics (px) and pose (m) must be finite, none above a million, and its focal lengths positive".to_owned(),
             ));
         }
-        let (width, height) = (self.architecture.width, self.architecture.height);
         let resized = |image: &RgbImage| Arc::new(image.clone().resized(width, height));
         let (target_depth, camera) = (target_depth.resized(width, height), camera.resized(width, height));
-        if must_show && !overlaps(&target_depth, &camera, source_from_target) {
-            return Err(Error::Data(
-                "by this pose and depth the source image shows nothing of the target: is the pose source_from_target, in axes of the camera and metres, the depth in metres, and are the intrinsics those of the images?"
-                    .to_owned(),
-            ));
-        }
         let (source_image, target_image) = rayon::join(|| resized(source_image), || resized(target_image));
         let mut sample = PairSample {
             source_image,
@@ -373,21 +372,14 @@ impl Model {
             }),
             evidence: None,
         };
+        if must_show && !sample.shows_target() {
+            return Err(Error::Data(SHOWS_NOTHING.to_owned()));
+        }
         if with_evidence {
             sample.evidence = Some(sample.align(&self.errors_from_camera(measurement)?));
         }
         Ok(sample)
     }
-}
-
-/// Whether a pixel of the target with known depth lies inside the source image (paper Eq. 5).
-fn overlaps(target_depth: &DepthMap, camera: &Pinhole, source_from_target: &Pose) -> bool {
-    let (right, bottom) = (camera.width as f64 - 1.0, camera.height as f64 - 1.0);
-    target_depth.known().any(|(u, v, depth)| {
-        let point = camera.backproject(&Vector2::new(u as f64, v as f64), f64::from(depth));
-        let seen = camera.project(&source_from_target.transform_point(&point));
-        seen.is_some_and(|pixel| (0.0..=right).contains(&pixel.x) && (0.0..=bottom).contains(&pixel.y))
-    })
 }
 
 #[cfg(test)]

@@ -8,8 +8,9 @@ use base64::Engine;
 use nalgebra::{Matrix3, Vector3};
 use serde::de::{self, IgnoredAny, MapAccess, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
+use serde_json::value::RawValue;
 
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Place, Result, excerpt};
 use crate::geometry::Pose;
 use crate::systems::pose_from_quaternion;
 
@@ -40,13 +41,6 @@ pub(super) struct Request {
     pub(super) right_from_left: Option<Numbers>,
 }
 
-/// Whose request it is, whatever else stands there.
-#[derive(Deserialize)]
-pub(super) struct Identity {
-    #[serde(default)]
-    pub(super) id: Id,
-}
-
 /// Whose motion a pose describes.
 #[derive(Clone, Copy, Default, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -56,47 +50,78 @@ pub(super) enum PoseFrame {
     Vehicle,
 }
 
-/// What comes back with the answer.
+/// What comes back with the answer, digit by digit as it was sent: `null`, a number, or a text of bounded length.
 #[derive(Clone, Default, Serialize)]
-#[serde(untagged)]
-pub(super) enum Id {
-    #[default]
-    Null,
-    Text(String),
-    Whole(i64),
-    Natural(u64),
-    Number(f64),
-}
+#[serde(transparent)]
+pub(super) struct Id(Option<Box<RawValue>>);
 
 impl<'de> Deserialize<'de> for Id {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct IdVisitor;
-        impl Visitor<'_> for IdVisitor {
-            type Value = Id;
-            fn expecting(&self, formatter: &mut fmt::Formatter) -> fmt::Result {
-                write!(formatter, "an id: a number, or text of at most {LONGEST_ID} bytes")
+        let raw = Box::<RawValue>::deserialize(deserializer)?;
+        let text = raw.get();
+        let length = text.trim_matches('"').len();
+        match text.as_bytes().first() {
+            Some(b'n') => Ok(Self(None)),
+            Some(b'"' | b'-' | b'0'..=b'9') if length <= LONGEST_ID => Ok(Self(Some(raw))),
+            Some(b'"' | b'-' | b'0'..=b'9') => {
+                Err(de::Error::custom(format!("an id of {length} bytes; at most {LONGEST_ID} come back")))
             }
-            fn visit_unit<E>(self) -> Result<Id, E> {
-                Ok(Id::Null)
-            }
-            fn visit_str<E: de::Error>(self, text: &str) -> Result<Id, E> {
-                match text.len() <= LONGEST_ID {
-                    true => Ok(Id::Text(text.to_owned())),
-                    false => Err(E::custom(format!("an id of {} bytes; at most {LONGEST_ID} come back", text.len()))),
+            _ => Err(de::Error::custom("found a list, an object or a truth for an id: a number, or text, comes back")),
+        }
+    }
+}
+
+/// Whose request a line is, as far as it can be told of one that is no request.
+pub(super) fn identity(line: &str) -> Id {
+    struct IdentityVisitor<'a>(&'a mut Id);
+    impl<'de> Visitor<'de> for IdentityVisitor<'_> {
+        type Value = ();
+        fn expecting(&self, formatter: &mut fmt::Formatter) -> fmt::Result {
+            formatter.write_str("an object with an id")
+        }
+        fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<(), A::Error> {
+            while let Some(key) = map.next_key::<String>()? {
+                match key == "id" {
+                    true => *self.0 = map.next_value()?,
+                    false => drop(map.next_value::<IgnoredAny>()?),
                 }
             }
-            fn visit_i64<E>(self, number: i64) -> Result<Id, E> {
-                Ok(Id::Whole(number))
-            }
-            fn visit_u64<E>(self, number: u64) -> Result<Id, E> {
-                Ok(Id::Natural(number))
-            }
-            fn visit_f64<E>(self, number: f64) -> Result<Id, E> {
-                Ok(Id::Number(number))
-            }
+            Ok(())
         }
-        deserializer.deserialize_any(IdVisitor)
     }
+    let mut id = Id::default();
+    let mut read = |line: &str| {
+        let mut json = serde_json::Deserializer::from_str(line);
+        // What is wrong stands behind the id, or there is none.
+        let _ = json.deserialize_map(IdentityVisitor(&mut id));
+    };
+    let (with_nulls, _) = replace_no_numbers(line);
+    read(&with_nulls);
+    id
+}
+
+/// What programs write for numbers that JSON does not have; the longer ones first.
+const NO_NUMBERS: [&str; 5] = ["-Infinity", "Infinity", "NaN", "-inf", "nan"];
+
+/// A line with `null` for words that stand for numbers and are none in JSON, and the first of them.
+pub(super) fn replace_no_numbers(line: &str) -> (String, Option<&'static str>) {
+    let (mut replaced, mut first) = (String::with_capacity(line.len()), None);
+    let (mut in_text, mut escaped) = (false, false);
+    let mut rest = line;
+    while let Some(c) = rest.chars().next() {
+        if c == '"' && !escaped {
+            in_text = !in_text;
+        }
+        escaped = c == '\\' && !escaped;
+        let word = NO_NUMBERS.into_iter().find(|word| !in_text && rest.starts_with(word));
+        match word {
+            Some(_) => replaced.push_str("null"),
+            None => replaced.push(c),
+        }
+        first = first.or(word);
+        rest = &rest[word.map_or(c.len_utf8(), str::len)..];
+    }
+    (replaced, first)
 }
 
 /// A file, or what would stand in it, base64.
@@ -116,12 +141,31 @@ impl Content {
         match self {
             Self::File(path) => from_file(path),
             Self::Base64(text) => {
-                let bytes = base64::engine::general_purpose::STANDARD.decode(text.trim()).map_err(|error| {
+                let encoded = encoded_part(text).ok_or_else(|| {
+                    let found = excerpt(text);
+                    Error::Data(format!("field `{field}`: found {found}; expected base64, alone or in a data URL"))
+                })?;
+                // Lines of 76 characters, as mail and many encoders have them (RFC 2045).
+                let joined: Vec<u8> = encoded.bytes().filter(|byte| !byte.is_ascii_whitespace()).collect();
+                let bytes = base64::engine::general_purpose::STANDARD.decode(joined).map_err(|error| {
                     Error::Data(format!("field `{field}`: found {error}; expected base64 with padding"))
                 })?;
                 from_bytes(&bytes, &PathBuf::from(format!("field `{field}`")))
             }
         }
+    }
+}
+
+/// How the content of a file begins where it stands in a URL (RFC 2397).
+const DATA_URL: &str = "data:";
+/// Longer texts are no paths, bytes.
+const LONGEST_PATH: usize = 4096;
+
+/// The base64 of a text: all of it, or what follows the head of a data URL.
+fn encoded_part(text: &str) -> Option<&str> {
+    match text.trim_start().strip_prefix(DATA_URL) {
+        None => Some(text),
+        Some(rest) => rest.split_once(',').filter(|(head, _)| head.ends_with(";base64")).map(|(_, encoded)| encoded),
     }
 }
 
@@ -133,8 +177,15 @@ impl<'de> Deserialize<'de> for Content {
             fn expecting(&self, formatter: &mut fmt::Formatter) -> fmt::Result {
                 formatter.write_str("an image or depth map: a path, or an object with its `base64` alone")
             }
-            fn visit_str<E>(self, path: &str) -> Result<Content, E> {
-                Ok(Content::File(PathBuf::from(path)))
+            fn visit_str<E: de::Error>(self, text: &str) -> Result<Content, E> {
+                match (text.starts_with(DATA_URL), text.len() > LONGEST_PATH) {
+                    (true, _) => Ok(Content::Base64(text.to_owned())),
+                    (false, false) => Ok(Content::File(PathBuf::from(text))),
+                    (false, true) => {
+                        let length = text.len();
+                        Err(E::custom(format!("{length} bytes are no path; base64 is written {{\"base64\": \"…\"}}")))
+                    }
+                }
             }
             fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Content, A::Error> {
                 let mut content = None;

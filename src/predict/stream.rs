@@ -2,12 +2,12 @@
 
 use serde::Serialize;
 
-use super::request::{Id, Identity, PoseFrame, Request};
+use super::request::{Id, PoseFrame, Request, identity, replace_no_numbers};
 use super::{Measurement, Model, RightView};
 use crate::config::DepthConfig;
 use crate::data::{decode_image, read_image};
 use crate::depth::{LiveDepth, decode_depth_png, read_depth_png};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, shortened};
 use crate::export::{JsonJudgement, JsonPose, MeasuredMotion, Perturbation, Poses};
 use crate::geometry::{ErrorFrame, Pinhole, Pose};
 
@@ -119,20 +119,19 @@ impl<'a> Stream<'a> {
         let id = match &parsed {
             Ok(parsed) => parsed.id.clone(),
             // What is wrong stands elsewhere: whose request it is may still be told.
-            Err(_) => serde_json::from_str::<Identity>(request).map_or(Id::Null, |identity| identity.id),
+            Err(_) => identity(request),
         };
-        let answered = parsed
-            .map_err(|error| Error::Data(format!("no request: {error} (docs/predict.md lists the fields)")))
-            .and_then(|request| self.judge(request));
+        let answered =
+            parsed.map_err(|error| Error::Data(no_request(request, &error))).and_then(|request| self.judge(request));
         match answered {
             Ok(motion) => serde_json::to_string(&self.said_of(&motion, id)).expect("numbers and names are JSON"),
             Err(error) => refusal(id, &error.to_string()),
         }
     }
 
-    /// The answer to what cannot be taken for a request.
-    pub fn refuse(problem: &str) -> String {
-        refusal(Id::Null, problem)
+    /// The answer to what cannot be taken for a request; its id comes back where it can be found.
+    pub fn refuse(line: &str, problem: &str) -> String {
+        refusal(identity(line), problem)
     }
 
     fn said_of(&self, motion: &MeasuredMotion, id: Id) -> Answer<'static> {
@@ -196,7 +195,7 @@ impl<'a> Stream<'a> {
         let motion = MeasuredMotion {
             source: 0,
             target: 1,
-            times_s: None,
+            times: None,
             source_from_target: source_from_target.conjugated_by(&output_from_camera),
             covariance,
             posterior,
@@ -206,6 +205,14 @@ impl<'a> Stream<'a> {
             Poses::Measured => motion,
             Poses::Corrected => motion.corrected().expect("checked when the stream was made"),
         })
+    }
+}
+
+/// Why a line is no request; not longer than a reader wants it, whatever stands in it.
+fn no_request(line: &str, error: &serde_json::Error) -> String {
+    match replace_no_numbers(line) {
+        (_, Some(word)) => format!("no request: {word} is no JSON number; send finite ones, or leave the pair out"),
+        (_, None) => format!("no request: {} (docs/predict.md lists the fields)", shortened(&error.to_string())),
     }
 }
 

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use crate::error::{Error, Place, Result};
 use crate::evaluation::{Evaluation, Method, Metrics, PairRow, PairTable, SystemEvaluation, SystemPairs, read_pairs};
+use crate::files::own_name;
 use crate::geometry::{Covariance6, ErrorFrame};
 use crate::training::{EVALUATION, PAIRS};
 
@@ -55,9 +56,7 @@ impl Entry {
             return Err(Error::malformed(&pairs, Place::Whole, "other measurements", expected));
         }
         let named = if path.is_dir() { path } else { Path::new(path.file_stem().unwrap_or(path.as_os_str())) };
-        let canonical = named.canonicalize().unwrap_or_else(|_| named.to_owned());
-        let name = canonical.file_name().unwrap_or(named.as_os_str()).to_string_lossy().into_owned();
-        let entry = Self { name, evaluation, table, folder: Some(folder) };
+        let entry = Self { name: own_name(named), evaluation, table, folder: Some(folder) };
         entry.check_methods(&scores)?;
         Ok(entry)
     }

@@ -20,7 +20,7 @@ use super::systems::{SYSTEMS, measure};
 use super::world::{Moment, World};
 use crate::depth::{DepthMap, encode_depth_png};
 use crate::error::{Error, Result};
-use crate::files::{put_in_place, write_renamed};
+use crate::files::{put_in_place, remove_partial, write_renamed};
 use crate::geometry::{Pinhole, Pose};
 use crate::systems::{RelativePose, format_relative_pose, relative_pose_header};
 
@@ -164,6 +164,7 @@ impl Studio<'_> {
             }
             let folder = self.folders.drive.join(sensor);
             create_folder(&folder.join("data"))?;
+            remove_partial(&folder.join("data"))?;
             let times = timestamps(self.settings.frames);
             write_renamed(&folder.join("timestamps.txt"), times.as_bytes())?;
             if sensor == "velodyne_points" {

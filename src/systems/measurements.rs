@@ -3,18 +3,22 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::relative::{parse_relative_poses, stated_frame};
+use super::frames::{Joined, frames_of_rows};
+use super::relative::{Statement, parse_relative_poses};
 use super::sequences::odometry_sequence;
-use super::trajectory::{Trajectory, parse_kitti_trajectory, parse_tum_trajectory};
-use super::truth::{Truth, consecutive};
+use super::trajectory::{KittiPoses, Trajectory, parse_kitti_poses, parse_tum_trajectory};
+use super::truth::{Truth, motions_of};
 use crate::config::{MeasurementFrame, SystemConfig, SystemSource, TrajectoryConfig, TrajectoryFormat};
 use crate::data::Drive;
 use crate::error::{Error, Place, Result};
-use crate::files::read_text;
-use crate::geometry::{Covariance6, Pose};
+use crate::files::{fill_template, read_text};
+use crate::geometry::{Covariance6, ErrorFrame, Pose};
 
 /// Largest distance in time between a TUM row and the frame it belongs to, s: a fifth of KITTI's period.
 const TUM_TOLERANCE_S: f64 = 0.02;
+
+/// The number of a drive's odometry sequence, in templates of paths.
+const SEQUENCE: &str = "{sequence}";
 
 /// One system's relative poses on one drive.
 #[derive(Clone, Debug)]
@@ -27,6 +31,14 @@ pub struct Measurements {
     pub covariances: BTreeMap<(usize, usize), Covariance6>,
     /// The file that was looked for and is not there.
     pub missing_file: Option<PathBuf>,
+}
+
+impl Measurements {
+    /// The first and last frame that they reach.
+    pub fn span(&self) -> Option<[usize; 2]> {
+        let last = self.relative_poses.keys().map(|&(_, target)| target).max()?;
+        self.relative_poses.first_key_value().map(|(&(first, _), _)| [first, last])
+    }
 }
 
 /// Measured relative poses of one system on one drive.
@@ -45,9 +57,9 @@ pub fn load_measurements(system: &SystemConfig, drive: &Drive, root: &Path, trut
     Ok(match &system.source {
         // True here; the data set draws their errors.
         SystemSource::Truth {} | SystemSource::Perturbation(_) => found(MeasurementFrame::Vehicle, truth.motions()),
-        SystemSource::Oxts {} => found(MeasurementFrame::Vehicle, consecutive(&drive.oxts_poses)),
+        SystemSource::Oxts {} => found(MeasurementFrame::Vehicle, motions_of(&drive.oxts_poses)),
         SystemSource::Trajectory(config) => match load_trajectory(config, drive, root)? {
-            Some(trajectory) => found(config.frame, consecutive(&trajectory)),
+            Some(trajectory) => found(config.frame, motions_of(&trajectory)),
             None => missing(config.frame, expand(&config.path, drive, root)),
         },
         SystemSource::Manifest { frame } => {
@@ -83,18 +95,19 @@ pub fn load_measurements(system: &SystemConfig, drive: &Drive, root: &Path, trut
 /// That a file which states its axes is read in them.
 fn require_frame(text: &str, frame: MeasurementFrame, path: &Path) -> Result<()> {
     let expected = match frame {
-        MeasurementFrame::Camera0 => "camera0",
-        MeasurementFrame::Camera2 => "camera",
-        MeasurementFrame::Vehicle => "vehicle",
+        MeasurementFrame::Camera0 => None,
+        MeasurementFrame::Camera2 => Some(ErrorFrame::Camera),
+        MeasurementFrame::Vehicle => Some(ErrorFrame::Vehicle),
     };
-    match stated_frame(text).filter(|stated| *stated != expected) {
+    match Statement::of(text).frame.filter(|stated| Some(*stated) != expected) {
         None => Ok(()),
         Some(stated) => Err(Error::malformed(
             path,
             Place::Line(1),
-            format!("motions in axes `{stated}`"),
+            format!("motions in axes `{}`", stated.name()),
             format!(
-                "those of `{expected}`, as the configuration or --measurement-frame says; set frame to `vehicle`, or `camera2` for `camera`"
+                "those of `{}`, as the configuration or --measurement-frame says; set frame to `vehicle`, or `camera2` for `camera`",
+                expected.map_or("camera0", ErrorFrame::name)
             ),
         )),
     }
@@ -107,20 +120,28 @@ pub(super) fn load_trajectory(config: &TrajectoryConfig, drive: &Drive, root: &P
     }
     let text = read_text(&path)?;
     let trajectory = match config.format {
-        TrajectoryFormat::Kitti => {
-            let by_sequence = config.path.contains("{sequence}");
-            let first_frame =
-                odometry_sequence(drive.short_name()).filter(|_| by_sequence).map_or(0, |cut| cut.first_frame);
-            parse_kitti_trajectory(&text, &path, first_frame)?
+        TrajectoryFormat::Kitti => match parse_kitti_poses(&text, &path)? {
+            KittiPoses::Framed(trajectory) => trajectory,
+            KittiPoses::Rows(poses) => {
+                let joined = Joined {
+                    whose: &drive.name,
+                    sequence: odometry_sequence(drive.short_name()),
+                    is_sequence: config.path.to_string_lossy().contains(SEQUENCE),
+                    sets: [drive.images.keys().copied().collect(), drive.oxts_poses.keys().copied().collect()],
+                };
+                frames_of_rows(poses.len(), &path, &joined)?.into_iter().zip(poses).collect()
+            }
+        },
+        TrajectoryFormat::Tum => {
+            let times = drive.require_times("a TUM trajectory")?;
+            parse_tum_trajectory(&text, &path, times, TUM_TOLERANCE_S)?
         }
-        TrajectoryFormat::Tum => parse_tum_trajectory(&text, &path, &drive.timestamps_s, TUM_TOLERANCE_S)?,
     };
     Ok(Some(trajectory))
 }
 
-fn expand(template: &str, drive: &Drive, root: &Path) -> PathBuf {
+fn expand(template: &Path, drive: &Drive, root: &Path) -> PathBuf {
     let sequence = odometry_sequence(drive.short_name()).map_or("none", |sequence| sequence.number);
-    root.join(
-        template.replace("{drive}", drive.short_name()).replace("{date}", drive.date()).replace("{sequence}", sequence),
-    )
+    let slots = [("{drive}", drive.short_name()), ("{date}", drive.date()), (SEQUENCE, sequence)];
+    root.join(fill_template(template, &slots))
 }

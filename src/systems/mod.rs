@@ -5,6 +5,7 @@
 //! Leaves pairing with images and truth to `data`.
 
 mod chain;
+mod frames;
 mod measurements;
 mod mixing;
 mod perturbation;
@@ -14,13 +15,14 @@ mod trajectory;
 mod truth;
 
 pub use chain::chain_poses;
+pub(crate) use frames::{Joined, frames_of_rows};
 pub use measurements::{Measurements, load_measurements};
 pub use mixing::{BatchPlan, Mixer, PlannedPair};
 pub use perturbation::Perturbation;
 pub(crate) use perturbation::standard_normal;
-pub(crate) use relative::{RIGHT, stated_frame};
 pub use relative::{RelativePose, format_relative_pose, parse_relative_poses, relative_pose_header};
+pub(crate) use relative::{Statement, parse_bare_relative_poses};
 pub use sequences::{OdometrySequence, odometry_sequence};
+pub(crate) use trajectory::{KittiPoses, parse_kitti_poses, pose_from_quaternion};
 pub use trajectory::{Trajectory, parse_kitti_trajectory, parse_tum_trajectory};
-pub(crate) use trajectory::{parse_frame_index, pose_from_quaternion};
 pub use truth::Truth;

@@ -4,15 +4,15 @@ use std::path::Path;
 
 use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 
-use super::trajectory::{parse_frame_index, pose_from_quaternion};
+use super::trajectory::pose_from_quaternion;
 use crate::error::{Error, Place, Result};
-use crate::files::parse_numbers;
-use crate::geometry::{Covariance6, Pose};
+use crate::files::{Form, Table};
+use crate::geometry::{Covariance6, ErrorFrame, Pose};
 
-/// Columns of pose and frames.
-const POSE_COLUMNS: usize = 9;
-/// Columns of a row that carries its covariance.
-const COVARIANCE_COLUMNS: usize = POSE_COLUMNS + 36;
+/// Columns of frames and pose.
+const POSE_COLUMNS: [&str; 9] = ["source", "target", "x", "y", "z", "qx", "qy", "qz", "qw"];
+/// Entries of a covariance.
+const ENTRIES: usize = 36;
 
 /// A measured relative pose, with its covariance when the file states one.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,79 +27,125 @@ pub struct RelativePose {
     pub covariance: Option<Covariance6>,
 }
 
-/// What some editors put before the first character of a file.
-const BYTE_ORDER_MARK: char = '\u{feff}';
-
-/// What a remark says where covariances are those of the right perturbation.
-pub(crate) const RIGHT: &str = "perturbation right";
-
-/// The axes that a remark of a CSV of relative poses states: `# frame vehicle, …`.
-pub(crate) fn stated_frame(text: &str) -> Option<&str> {
-    let remarks = text.trim_start_matches(BYTE_ORDER_MARK).lines().take_while(|line| line.starts_with('#'));
-    remarks.filter_map(|line| line.split_once("frame ")?.1.split([',', ' ']).next()).next()
+/// What the first line of a file that relcov wrote says of all others: `# frame vehicle, perturbation left, …`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Statement {
+    /// Axes of poses and covariances.
+    pub(crate) frame: Option<ErrorFrame>,
+    /// Whether covariances are those of the right perturbation.
+    pub(crate) right: bool,
 }
 
-/// Parses a CSV of relative poses. Lines that begin with `#` are remarks, and the first other line may be a header that
-/// begins with `source`. Covariances are those of the left perturbation, unless a remark says `perturbation right`.
+impl Statement {
+    /// The line that says it, with a remark behind it.
+    pub(crate) fn line(self, remark: &str) -> String {
+        let frame = self.frame.map_or(String::new(), |frame| format!("frame {}, ", frame.name()));
+        let side = if self.right { "right" } else { "left" };
+        format!("# {frame}perturbation {side}, order x y z roll pitch yaw, m and rad{remark}\n")
+    }
+
+    /// What the remarks before a file's first row say. One that does not have the form of relcov's own is a remark.
+    pub(crate) fn of(text: &str) -> Self {
+        let lines = text.trim_start_matches('\u{feff}').lines().map(str::trim);
+        let remarks = lines.take_while(|line| line.is_empty() || line.starts_with('#'));
+        remarks.filter_map(Self::parse).next().unwrap_or_default()
+    }
+
+    /// A line that begins with nothing but a statement; further ones may follow a comma.
+    fn parse(line: &str) -> Option<Self> {
+        let mut said = Self::default();
+        for (index, part) in line.strip_prefix('#')?.split(',').map(str::trim).enumerate() {
+            match (part.split_once(' '), index) {
+                (Some(("frame", axes)), _) if ErrorFrame::of(axes).is_some() => said.frame = ErrorFrame::of(axes),
+                (Some(("perturbation", side @ ("left" | "right"))), _) => said.right = side == "right",
+                (_, 0) => return None,
+                _ => {}
+            }
+        }
+        Some(said)
+    }
+}
+
+/// Parses a CSV of relative poses. A header gives columns their names (`source`, `target`, `x`, `y`, `z`, `qx`, `qy`, `qz`,
+/// `qw`, and `c00` … `c55` for covariances) in any order; without one they have this order, and 36 cells after a header of
+/// the nine are the covariance. Lines that begin with `#` are remarks. Covariances are those of the left perturbation,
+/// unless the remark says otherwise that `relcov predict --format csv` writes.
 ///
 /// # Errors
-/// Wrong count, numbers that are not finite, a quaternion far from unit length, a covariance that
-/// is none, or a pair that does not come after the one before; the message names the line.
+/// A column is unknown or missing, a cell empty or not a finite number, a quaternion far from unit length, a covariance
+/// none, or a pair does not come after the one before; the message names the line.
 pub fn parse_relative_poses(text: &str, path: &Path) -> Result<Vec<RelativePose>> {
+    parse(text, path, Stated::Read)
+}
+
+/// The same without the covariances, whatever stands there: they are to be replaced.
+///
+/// # Errors
+/// As [`parse_relative_poses`].
+pub(crate) fn parse_bare_relative_poses(text: &str, path: &Path) -> Result<Vec<RelativePose>> {
+    parse(text, path, Stated::PassedOver)
+}
+
+/// What becomes of the covariances that a file states.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Stated {
+    Read,
+    PassedOver,
+}
+
+fn parse(text: &str, path: &Path, covariances: Stated) -> Result<Vec<RelativePose>> {
+    let entries = entry_names();
+    let columns: Vec<&str> = POSE_COLUMNS.into_iter().chain(entries.iter().map(String::as_str)).collect();
+    let described = "source,target,x,y,z,qx,qy,qz,qw, and 36 values c00 … c55 for covariances";
+    let widths = [POSE_COLUMNS.len(), POSE_COLUMNS.len() + ENTRIES];
+    let mut table = Table::open(text, path, &Form { columns: &columns, widths: &widths, described })?;
+    let places = table.header.require(&POSE_COLUMNS)?;
+    let entries = table.header.group(&entries)?.unwrap_or_default();
+    let Statement { right, .. } = Statement::of(text);
     let mut poses: Vec<RelativePose> = Vec::new();
-    let (mut right, mut header_may_come) = (false, true);
-    for (index, line) in text.trim_start_matches(BYTE_ORDER_MARK).lines().enumerate() {
-        if line.trim_start().starts_with('#') {
-            right |= line.contains(RIGHT);
-            continue;
-        }
-        let header = std::mem::take(&mut header_may_come) && line.trim_start().starts_with("source");
-        if line.trim().is_empty() || header {
-            continue;
-        }
-        let place = Place::Line(index + 1);
-        let malformed = |found: String, expected: &str| Error::malformed(path, place.clone(), found, expected);
-        let values = parse_numbers(&line.replace(',', " "), path, &place)?;
-        if values.len() != POSE_COLUMNS && values.len() != COVARIANCE_COLUMNS {
-            return Err(malformed(
-                format!("{} values", values.len()),
-                "9 (source,target,x,y,z,qx,qy,qz,qw), or 45 with a row-major covariance",
-            ));
-        }
-        let source = parse_frame_index(values[0], path, &place)?;
-        let target = parse_frame_index(values[1], path, &place)?;
+    while let Some(row) = table.next()? {
+        let (source, target) = (row.frame(places[0])?, row.frame(places[1])?);
         if target <= source {
-            return Err(malformed(format!("source {source}, target {target}"), "a target after its source"));
+            return Err(row.broken(format!("source {source}, target {target}"), "a target after its source"));
         }
         if let Some(last) = poses.last()
             && (last.source, last.target) >= (source, target)
         {
             let found = format!("pair {source},{target} after {},{}", last.source, last.target);
-            return Err(malformed(found, "increasing pairs, each once"));
+            return Err(row.broken(found, "increasing pairs, each once"));
         }
-        let translation = Vector3::new(values[2], values[3], values[4]);
-        let source_from_target =
-            pose_from_quaternion(translation, [values[5], values[6], values[7], values[8]], path, &place)?;
-        let covariance = match &values[POSE_COLUMNS..] {
-            [] => None,
-            entries => Some(
-                Covariance6::from_matrix(Matrix6::from_row_slice(entries))
-                    .map_err(|error| malformed(error.to_string(), "a symmetric, non-negative 6x6 covariance"))?,
-            ),
+        let [x, y, z, quaternion @ ..] = row.numbers::<7>(&places[2..])?;
+        let source_from_target = pose_from_quaternion(Vector3::new(x, y, z), quaternion, path, &row.place())?;
+        let stated = if covariances == Stated::Read && !entries.is_empty() {
+            row.all_or_none::<ENTRIES>(&entries)?
+        } else {
+            None
         };
-        let covariance = match (right, covariance) {
-            (true, Some(covariance)) => Some(covariance.left_of(&source_from_target)),
-            (_, covariance) => covariance,
-        };
+        let covariance = stated.map(|entries| {
+            Covariance6::from_matrix(Matrix6::from_row_slice(&entries))
+                .map_err(|error| row.broken(error.to_string(), error.remedy()))
+        });
+        let covariance = covariance.transpose()?.map(|covariance| match right {
+            true => covariance.left_of(&source_from_target),
+            false => covariance,
+        });
         poses.push(RelativePose { source, target, source_from_target, covariance });
     }
-    Ok(poses)
+    match poses.is_empty() {
+        true => Err(Error::malformed(path, Place::Whole, "no row", format!("one for each pair: {described}"))),
+        false => Ok(poses),
+    }
+}
+
+/// `c00` … `c55`.
+fn entry_names() -> Vec<String> {
+    (0..ENTRIES).map(|k| format!("c{}{}", k / 6, k % 6)).collect()
 }
 
 /// Columns of a file that states covariances, as [`parse_relative_poses`] reads them.
 pub fn relative_pose_header() -> String {
-    let entries = (0..36).map(|k| format!(",c{}{}", k / 6, k % 6)).collect::<String>();
-    format!("source,target,x,y,z,qx,qy,qz,qw{entries}\n")
+    let columns = POSE_COLUMNS.map(str::to_owned).into_iter().chain(entry_names());
+    columns.collect::<Vec<_>>().join(",") + "\n"
 }
 
 /// A row of the CSV that [`parse_relative_poses`] reads, with its line end.
@@ -154,15 +200,35 @@ mod tests {
     #[test]
     fn errors_name_the_line() {
         for (text, words) in [
-            ("1,2,0,0,0,0,0,0\n", ["line 1", "8 values"]),
+            ("1,2,0,0,0,0,0,0\n", ["line 1", "8 cells"]),
             ("1,2,0,0,0,0,0,0,1\n1,2,0,0,0,0,0,0,1\n", ["line 2", "1,2 after 1,2"]),
             ("2,1,0,0,0,0,0,0,1\n", ["line 1", "target 1"]),
             ("1,2,0,0,0,0,0,0,2\n", ["line 1", "length 2"]),
             ("1,2,0,x,0,0,0,0,1\n", ["line 1", "`x`"]),
             ("1.5,2,0,0,0,0,0,0,1\n", ["line 1", "1.5"]),
+            ("source,target,x,y,z,qx,qy,qz,qw\n", ["no row", "one for each pair"]),
         ] {
             let message = parse(text).unwrap_err().to_string();
             assert!(words.iter().all(|word| message.contains(word)), "{message}");
         }
+    }
+
+    #[test]
+    fn a_remark_is_a_remark() {
+        for (text, frame, right) in [
+            ("# frame rate 10 Hz\n", None, false),
+            ("# the frame camera, perturbation right\n# frame vehicle\n", Some(ErrorFrame::Vehicle), false),
+            (
+                "\u{feff}\n# frame camera, perturbation right, order x y z roll pitch yaw\n",
+                Some(ErrorFrame::Camera),
+                true,
+            ),
+            ("# perturbation right\n", None, true),
+            ("source,target\n# frame camera\n", None, false),
+        ] {
+            assert_eq!(Statement::of(text), Statement { frame, right }, "{text}");
+        }
+        let statement = Statement { frame: Some(ErrorFrame::World), right: true };
+        assert_eq!(Statement::of(&statement.line(", corrected")), statement);
     }
 }

@@ -5,9 +5,10 @@ use std::path::Path;
 
 use nalgebra::{Matrix3x4, Quaternion, Rotation3, UnitQuaternion, Vector3};
 
-use crate::error::{Error, Place, Result};
-use crate::files::parse_numbers;
+use crate::error::{Error, Place, Result, excerpt};
+use crate::files::{frame_index, parse_numbers, rows};
 use crate::geometry::Pose;
+use crate::time::{EXPECTED_SECONDS, Time};
 
 /// Largest `|RᵀR − I|` of a rotation in a trajectory file (files with six digits exist).
 const ROTATION_TOLERANCE: f64 = 1e-3;
@@ -17,18 +18,33 @@ const QUATERNION_TOLERANCE: f64 = 1e-2;
 /// Absolute poses `world_from_body` by frame index.
 pub type Trajectory = BTreeMap<usize, Pose>;
 
+/// The poses of a KITTI file.
+pub(crate) enum KittiPoses {
+    /// Rows of 13: each says its frame.
+    Framed(Trajectory),
+    /// Rows of 12: which frames they are must be known otherwise ([`frames_of_rows`](super::frames_of_rows)).
+    Rows(Vec<Pose>),
+}
+
 /// Parses KITTI rows: 12 numbers (3x4, row-major), or 13 with a leading frame index.
 ///
 /// Rows without an index are frames `first_frame`, `first_frame + 1`, …
 ///
 /// # Errors
 /// Wrong count, a number that is not finite, a matrix that is no rotation, an index that is not
-/// larger than the one before; the message names the line.
+/// larger than the one before; the message names the line. Or there is no row.
 pub fn parse_kitti_trajectory(text: &str, path: &Path, first_frame: usize) -> Result<Trajectory> {
-    let mut trajectory = Trajectory::new();
+    Ok(match parse_kitti_poses(text, path)? {
+        KittiPoses::Framed(trajectory) => trajectory,
+        KittiPoses::Rows(poses) => (first_frame..).zip(poses).collect(),
+    })
+}
+
+/// The same, with the frames left open where the file does not say them.
+pub(crate) fn parse_kitti_poses(text: &str, path: &Path) -> Result<KittiPoses> {
+    let (mut framed, mut poses) = (Trajectory::new(), Vec::new());
     let mut columns = None;
-    for (index, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
-        let place = Place::Line(index + 1);
+    for (place, line) in rows(text) {
         let malformed = |found: String, expected: &str| Error::malformed(path, place.clone(), found, expected);
         let values = parse_numbers(line, path, &place)?;
         let expected_columns = *columns.get_or_insert(values.len());
@@ -42,24 +58,31 @@ pub fn parse_kitti_trajectory(text: &str, path: &Path, first_frame: usize) -> Re
                 },
             ));
         }
-        let (frame, matrix) = match values.len() {
-            12 => (first_frame + trajectory.len(), &values[..]),
-            _ => (parse_frame_index(values[0], path, &place)?, &values[1..]),
-        };
-        if let Some((&last, _)) = trajectory.last_key_value()
-            && frame <= last
-        {
-            return Err(malformed(format!("frame {frame} after frame {last}"), "increasing frame indices, each once"));
-        }
-        let matrix = Matrix3x4::from_row_slice(matrix);
+        let matrix = Matrix3x4::from_row_slice(&values[values.len() - 12..]);
         let pose =
             Pose::from_rounded_parts(matrix.fixed_columns::<3>(0).into(), matrix.column(3).into(), ROTATION_TOLERANCE)
                 .map_err(|deviation| {
                     malformed(format!("|RᵀR − I| = {deviation:.1e}"), "a rotation matrix in the left 3x3 block")
                 })?;
-        trajectory.insert(frame, pose);
+        if values.len() == 12 {
+            poses.push(pose);
+            continue;
+        }
+        let frame = frame_index(line.split_whitespace().next().unwrap_or_default(), path, &place)?;
+        if let Some((&last, _)) = framed.last_key_value()
+            && frame <= last
+        {
+            return Err(malformed(format!("frame {frame} after frame {last}"), "increasing frame indices, each once"));
+        }
+        framed.insert(frame, pose);
     }
-    Ok(trajectory)
+    match (framed.is_empty(), poses.is_empty()) {
+        (true, true) => {
+            Err(Error::malformed(path, Place::Whole, "no row", "12 numbers a frame, or 13 with a leading frame index"))
+        }
+        (true, false) => Ok(KittiPoses::Rows(poses)),
+        (false, _) => Ok(KittiPoses::Framed(framed)),
+    }
 }
 
 /// Parses TUM rows `t x y z qx qy qz qw` and matches them to frames by time.
@@ -72,60 +95,53 @@ pub fn parse_kitti_trajectory(text: &str, path: &Path, first_frame: usize) -> Re
 pub fn parse_tum_trajectory(
     text: &str,
     path: &Path,
-    frame_times_s: &BTreeMap<usize, f64>,
+    frame_times: &BTreeMap<usize, Time>,
     tolerance_s: f64,
 ) -> Result<Trajectory> {
-    let mut frames: Vec<(f64, usize)> = frame_times_s.iter().map(|(&frame, &time)| (time, frame)).collect();
-    frames.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut frames: Vec<(Time, usize)> = frame_times.iter().map(|(&frame, &time)| (time, frame)).collect();
+    frames.sort();
     // For each frame the offset of its nearest row, and that row's pose.
     let mut nearest_rows: BTreeMap<usize, (f64, Pose)> = BTreeMap::new();
-    let mut last_time = f64::NEG_INFINITY;
-    let mut rows = 0;
-    for (index, line) in text.lines().enumerate() {
-        if line.trim().is_empty() || line.trim_start().starts_with('#') {
-            continue;
-        }
-        let place = Place::Line(index + 1);
+    let mut span: Option<[Time; 2]> = None;
+    let mut count = 0;
+    for (place, line) in rows(text) {
+        let malformed = |found: String, expected: &str| Error::malformed(path, place.clone(), found, expected);
         let values = parse_numbers(line, path, &place)?;
-        let &[time, x, y, z, qx, qy, qz, qw] = values.as_slice() else {
-            return Err(Error::malformed(path, place, format!("{} numbers", values.len()), "8: t x y z qx qy qz qw"));
+        let &[_, x, y, z, qx, qy, qz, qw] = values.as_slice() else {
+            return Err(malformed(format!("{} numbers", values.len()), "8: t x y z qx qy qz qw"));
         };
-        if time <= last_time {
-            return Err(Error::malformed(path, place, format!("time {time} after {last_time}"), "increasing times"));
+        let word = line.split_whitespace().next().unwrap_or_default();
+        let time =
+            Time::parse_seconds(word).ok_or_else(|| malformed(format!("time {}", excerpt(word)), EXPECTED_SECONDS))?;
+        if let Some([_, last]) = span.filter(|[_, last]| time <= *last) {
+            return Err(malformed(format!("time {time} after {last}"), "increasing times"));
         }
-        last_time = time;
-        rows += 1;
+        span = Some([span.map_or(time, |[first, _]| first), time]);
+        count += 1;
         let pose = pose_from_quaternion(Vector3::new(x, y, z), [qx, qy, qz, qw], path, &place)?;
         let after = frames.partition_point(|&(frame_time, _)| frame_time < time);
         let nearest = frames[after.saturating_sub(1)..frames.len().min(after + 1)]
             .iter()
-            .min_by(|a, b| (a.0 - time).abs().total_cmp(&(b.0 - time).abs()));
-        if let Some(&(frame_time, frame)) = nearest {
-            let offset = (frame_time - time).abs();
+            .map(|&(frame_time, frame)| (frame_time.since(time).abs(), frame))
+            .min_by(|a, b| a.0.total_cmp(&b.0));
+        if let Some((offset, frame)) = nearest {
             let known = nearest_rows.get(&frame).map_or(tolerance_s, |&(offset, _)| offset);
             if offset <= known {
                 nearest_rows.insert(frame, (offset, pose));
             }
         }
     }
-    if rows > 0 && nearest_rows.is_empty() {
-        return Err(Error::malformed(
-            path,
-            Place::Whole,
-            format!("{rows} poses, none within {tolerance_s} s of a frame"),
-            "times in seconds since 1970, as in the drive's timestamps.txt",
-        ));
+    let Some([first, last]) = span else {
+        return Err(Error::malformed(path, Place::Whole, "no row", "rows of t x y z qx qy qz qw"));
+    };
+    if nearest_rows.is_empty() {
+        let expected = match (frames.first(), frames.last()) {
+            (Some((begin, _)), Some((end, _))) => format!("times of frames, {begin} to {end}, to {tolerance_s} s"),
+            _ => "frames whose times are known".to_owned(),
+        };
+        return Err(Error::malformed(path, Place::Whole, format!("{count} poses, {first} to {last} s"), expected));
     }
     Ok(nearest_rows.into_iter().map(|(frame, (_, pose))| (frame, pose)).collect())
-}
-
-/// A frame index written among numbers.
-pub(crate) fn parse_frame_index(value: f64, path: &Path, place: &Place) -> Result<usize> {
-    if value >= 0.0 && value.fract() == 0.0 && value < 1e9 {
-        Ok(value as usize)
-    } else {
-        Err(Error::malformed(path, place.clone(), format!("frame index {value}"), "a whole number from 0"))
-    }
 }
 
 /// A pose from translation and quaternion `x y z w`, which is normalised.
@@ -157,6 +173,10 @@ mod tests {
     use super::*;
     use crate::geometry::Tangent;
 
+    fn times(seconds: &[(usize, &str)]) -> BTreeMap<usize, Time> {
+        seconds.iter().map(|&(frame, text)| (frame, Time::parse_seconds(text).unwrap())).collect()
+    }
+
     const IDENTITY_ROW: &str = "1 0 0 0 0 1 0 0 0 0 1 0";
 
     fn parse(text: &str) -> Result<Trajectory> {
@@ -177,7 +197,7 @@ mod tests {
         #[test]
         fn no_text_makes_the_parsers_panic(text in "[-0-9.eEnaif \n#]{0,200}") {
             let _ = parse(&text);
-            let _ = parse_tum_trajectory(&text, Path::new("p"), &BTreeMap::from([(0, 1.0)]), 0.1);
+            let _ = parse_tum_trajectory(&text, Path::new("p"), &times(&[(0, "1")]), 0.1);
         }
     }
 
@@ -199,15 +219,32 @@ mod tests {
 
     #[test]
     fn tum_rows_find_their_frames_by_time() {
-        let frames = BTreeMap::from([(10, 100.0), (11, 100.1), (12, 100.2)]);
+        let frames = times(&[(10, "100.0"), (11, "100.1"), (12, "100.2")]);
         let text = "# t x y z qx qy qz qw\n99.0 0 0 0 0 0 0 1\n100.004 1 0 0 0 0 0 1\n100.014 7 0 0 0 0 0 1\n100.195 2 0 0 0 0 0.7071068 0.7071068\n";
         let trajectory = parse_tum_trajectory(text, Path::new("t"), &frames, 0.02).unwrap();
         assert_eq!(trajectory.keys().copied().collect::<Vec<_>>(), [10, 12]);
         assert_eq!(trajectory[&10].translation.x, 1.0);
         assert_relative_eq!(trajectory[&12].log()[5], std::f64::consts::FRAC_PI_2, epsilon = 1e-6);
-        let far = BTreeMap::from([(0, 0.0)]);
+        let far = times(&[(0, "0")]);
+        let message = parse_tum_trajectory(text, Path::new("t"), &far, 0.02).unwrap_err().to_string();
         assert!(
-            parse_tum_trajectory(text, Path::new("t"), &far, 0.02).unwrap_err().to_string().contains("none within")
+            message.contains("found 4 poses, 99.000000000 to 100.195000000 s; expected times of frames"),
+            "{message}"
         );
+    }
+
+    #[test]
+    fn tum_times_are_read_to_the_nanosecond() {
+        let frames = times(&[(0, "1403636579.763555584"), (1, "1403636579.763555600")]);
+        let text = "1403636579.763555599 1 0 0 0 0 0 1\n";
+        assert_eq!(parse_tum_trajectory(text, Path::new("t"), &frames, 1e-7).unwrap().keys().collect::<Vec<_>>(), [&1]);
+        for (text, words) in [
+            ("1.0,0,0,0,0,0,0,1\n", "expected numbers separated by blanks"),
+            ("1403636579763555584 0 0 0 0 0 0 1\n", "nanoseconds? divide them by 1e9"),
+            ("# t x y z qx qy qz qw\n", "found no row"),
+        ] {
+            let message = parse_tum_trajectory(text, Path::new("t"), &frames, 0.02).unwrap_err().to_string();
+            assert!(message.contains(words), "{message}");
+        }
     }
 }

@@ -1,6 +1,5 @@
 //! The true motions of a drive: from absolute poses, or listed pair by pair.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::measurements::load_trajectory;
@@ -80,10 +79,10 @@ impl Truth {
         Some(poses)
     }
 
-    /// Motions between neighbouring frames, or all that are listed.
+    /// Motions between neighbouring poses, or all that are listed.
     pub fn motions(&self) -> Motions {
         match self {
-            Self::Poses(poses) => consecutive(poses),
+            Self::Poses(poses) => motions_of(poses),
             Self::Motions(motions) => motions.clone(),
         }
     }
@@ -103,14 +102,26 @@ impl Truth {
     }
 }
 
-/// Motions between neighbouring frames.
-pub(super) fn consecutive(trajectory: &Trajectory) -> BTreeMap<(usize, usize), Pose> {
-    trajectory
-        .iter()
-        .filter_map(|(&source, world_from_source)| {
-            let target = source + 1;
-            let world_from_target = trajectory.get(&target)?;
-            Some(((source, target), world_from_source.inverse() * *world_from_target))
-        })
-        .collect()
+/// Motions between neighbouring poses, whatever frames lie between those of keyframes.
+pub(super) fn motions_of(trajectory: &Trajectory) -> Motions {
+    let motion = |((&source, world_from_source), (&target, world_from_target)): ((&usize, &Pose), (&usize, &Pose))| {
+        ((source, target), world_from_source.inverse() * *world_from_target)
+    };
+    trajectory.iter().zip(trajectory.iter().skip(1)).map(motion).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Tangent;
+
+    #[test]
+    fn motions_of_keyframes_are_those_between_them() {
+        let forward = |frame: usize| Pose::exp(&Tangent::new(frame as f64, 0.0, 0.0, 0.0, 0.0, 0.0));
+        let motions = motions_of(&[0, 1, 3, 6, 9].map(|frame| (frame, forward(frame))).into());
+        let expected: Motions = [(0, 1), (1, 3), (3, 6), (6, 9)]
+            .map(|(source, target)| ((source, target), forward(target - source)))
+            .into();
+        assert_eq!(motions, expected);
+    }
 }

@@ -85,7 +85,7 @@ impl Learner {
                 "was started with other data (pairs or errors differ); give it the same data, or start a new run",
             ));
         }
-        let mut learner = Self::new(config, dataset, &manifest, device, |_| Ok(run))?;
+        let mut learner = Self::new(config, dataset, &manifest, device, |_| run.owned())?;
         let model = learner.model.take().expect("a new learner has its model");
         let (model, optimiser, history) =
             learner.run.load_state(model, learner.optimiser, learner.config.systems.len())?;

@@ -13,16 +13,20 @@
 //!
 //! Everything is written under a temporary name and renamed: whatever bears its final name is whole.
 
+use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use burn::store::{ModuleSnapshot, SafetensorsStore};
 use burn::tensor::Device;
 
 use super::manifest::{LAYOUT, Manifest};
 use crate::config::Config;
-use crate::error::{Error, Place, Result};
+use crate::error::{Error, Place, Result, shortened};
 use crate::evaluation::Recalibration;
-use crate::files::{put_in_place, read_text, write_atomically};
+use crate::files::{
+    has_partial, put_in_place, read_text, remove_partial, require_readable, temporary_name, write_atomically,
+};
 use crate::geometry::Conventions;
 use crate::model::{Architecture, CovarianceModel};
 
@@ -32,7 +36,8 @@ pub(super) const METRICS: &str = "metrics.csv";
 /// The losses of a run as a picture.
 pub const LOSSES: &str = "losses.svg";
 const MODEL: &str = "model.safetensors";
-pub(super) const PARTIAL: &str = ".partial";
+/// Held by the process that trains in the folder.
+const LOCK: &str = ".lock";
 /// What an evaluation leaves in the folder: its scores.
 pub const EVALUATION: &str = "evaluation.json";
 /// The measurements behind it.
@@ -47,6 +52,30 @@ const RESULTS: [&str; 3] = [EVALUATION, PAIRS, RECALIBRATION];
 #[derive(Clone, Debug)]
 pub struct RunFolder {
     path: PathBuf,
+    /// Held as long as this process writes a run.
+    lock: Option<Arc<Lock>>,
+}
+
+/// That a folder is being written. The operating system lets go of it when its process ends, however it does.
+#[derive(Debug)]
+struct Lock {
+    path: PathBuf,
+    _held: File,
+}
+
+impl Lock {
+    fn take(folder: &Path) -> Result<Self, TryLockError> {
+        let path = folder.join(LOCK);
+        let file = File::create(&path).map_err(TryLockError::Error)?;
+        file.try_lock()?;
+        Ok(Self { path, _held: file })
+    }
+}
+
+impl Drop for Lock {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(&self.path);
+    }
 }
 
 impl RunFolder {
@@ -55,7 +84,7 @@ impl RunFolder {
     /// # Errors
     /// It does, or it cannot be read.
     pub fn require_free(path: &Path) -> Result<()> {
-        match (Self { path: path.to_owned() }).is_taken()? {
+        match Self::at(path).is_taken()? {
             false => Ok(()),
             true => Err(Error::run(
                 path,
@@ -71,7 +100,25 @@ impl RunFolder {
 
     /// A folder as it is, whatever it holds.
     pub fn at(path: &Path) -> Self {
-        Self { path: path.to_owned() }
+        Self { path: path.to_owned(), lock: None }
+    }
+
+    /// The folder for whoever is to write a run there: nobody else does, and what killed processes left is removed.
+    ///
+    /// # Errors
+    /// Somebody holds it, or what was left cannot be removed.
+    pub fn owned(mut self) -> Result<Self> {
+        self.lock = match Lock::take(&self.path) {
+            Ok(lock) => Some(Arc::new(lock)),
+            Err(TryLockError::WouldBlock) => {
+                let problem = "is being trained already; wait for that or stop it, or choose another --set name=…";
+                return Err(Error::run(&self.path, problem));
+            }
+            // A file system without locks.
+            Err(TryLockError::Error(_)) => None,
+        };
+        remove_partial(&self.path)?;
+        Ok(self)
     }
 
     /// Starts a run in a folder that holds none, or replaces the one it holds.
@@ -79,13 +126,14 @@ impl RunFolder {
     /// # Errors
     /// The folder holds a run and `replace` is false, or it cannot be written.
     pub fn create(path: &Path, replace: bool) -> Result<Self> {
-        let run = Self { path: path.to_owned() };
-        match replace {
-            true if run.is_taken()? => run.clear()?,
-            true => {}
-            false => Self::require_free(path)?,
+        if !replace {
+            Self::require_free(path)?;
         }
         std::fs::create_dir_all(path).map_err(Error::io("create the folder", path))?;
+        let run = Self::at(path).owned()?;
+        if run.is_taken()? {
+            run.clear()?;
+        }
         Ok(run)
     }
 
@@ -103,7 +151,14 @@ impl RunFolder {
                 format!("holds no {MANIFEST}, so no run was started here; expected a folder made by `relcov train`"),
             ));
         }
-        Ok(Self { path: path.to_owned() })
+        let run = Self::at(path);
+        // Where nobody trains, what is not whole will never be. Where it cannot be removed, it does no harm.
+        if has_partial(path)
+            && let Ok(_lock) = Lock::take(path)
+        {
+            let _ = remove_partial(path);
+        }
+        Ok(run)
     }
 
     /// Where it is.
@@ -140,7 +195,7 @@ impl RunFolder {
     pub fn manifest(&self) -> Result<Manifest> {
         let path = self.path.join(MANIFEST);
         let manifest: Manifest = serde_json::from_str(&read_text(&path)?).map_err(|error| {
-            Error::malformed(&path, Place::Whole, error.to_string(), "the manifest of a relcov run")
+            Error::malformed(&path, Place::Whole, shortened(&error.to_string()), "the manifest of a relcov run")
         })?;
         if manifest.layout != LAYOUT {
             let problem = format!(
@@ -171,7 +226,7 @@ impl RunFolder {
     /// It cannot be written; the previous one stays.
     pub fn save_model(&self, model: &CovarianceModel) -> Result<()> {
         let path = self.path.join(MODEL);
-        let temporary = self.temporary(MODEL);
+        let temporary = self.path.join(temporary_name(MODEL));
         let mut store = SafetensorsStore::from_file(&temporary).overwrite(true);
         model.save_into(&mut store).map_err(|error| {
             let _ = std::fs::remove_file(&temporary);
@@ -219,6 +274,7 @@ impl RunFolder {
                 ),
             ));
         }
+        require_readable(&path)?;
         let mut model = manifest.architecture.init(manifest.initial_log_variance, device);
         let expected = || {
             let Architecture { width, height, pair, pose, head, network, evidence, .. } = &manifest.architecture;
@@ -258,8 +314,9 @@ impl RunFolder {
             return Ok(None);
         }
         let expected = "six factors between 1e-6 and 1e6; `relcov eval --recalibrate` fits them anew";
-        let recalibration: Recalibration = serde_json::from_str(&read_text(&path)?)
-            .map_err(|error| Error::malformed(&path, Place::Line(error.line()), error.to_string(), expected))?;
+        let recalibration: Recalibration = serde_json::from_str(&read_text(&path)?).map_err(|error| {
+            Error::malformed(&path, Place::Line(error.line()), shortened(&error.to_string()), expected)
+        })?;
         if !recalibration.is_usable() {
             let found = format!("{:?}", recalibration.factors);
             return Err(Error::malformed(&path, Place::Field("factors".to_owned()), found, expected));
@@ -267,15 +324,10 @@ impl RunFolder {
         Ok(Some(recalibration))
     }
 
-    /// Where a file is written before it gets its name.
-    pub(super) fn temporary(&self, name: &str) -> PathBuf {
-        self.path.join(format!(".{name}{PARTIAL}"))
-    }
-
     /// Removes what a run wrote, and nothing else; the manifest last, so that a run stays one until
     /// nothing is left of it.
     fn clear(&self) -> Result<()> {
-        for folder in self.states()?.into_iter().chain(self.partial_states()?) {
+        for folder in self.states()? {
             std::fs::remove_dir_all(&folder).map_err(Error::io("remove", &folder))?;
         }
         self.remove_results()?;

@@ -8,9 +8,9 @@ use burn::store::ModuleRecord;
 
 use super::curves::loss_curves;
 use super::history::History;
-use super::run_folder::{LOSSES, METRICS, PARTIAL, RunFolder, first_line};
+use super::run_folder::{LOSSES, METRICS, RunFolder, first_line};
 use crate::error::{Error, Place, Result};
-use crate::files::{read_text, write_atomically};
+use crate::files::{read_text, require_readable, settle, temporary_name, write_atomically};
 use crate::model::CovarianceModel;
 
 const STATE_PREFIX: &str = "state-";
@@ -54,7 +54,7 @@ impl RunFolder {
     pub(super) fn keep_state(&self, name: &str, write: impl FnOnce(&Path) -> Result<()>) -> Result<()> {
         let folder = self.path().join(name);
         if !folder.exists() {
-            let temporary = self.temporary(name);
+            let temporary = self.path().join(temporary_name(name));
             if temporary.exists() {
                 std::fs::remove_dir_all(&temporary).map_err(Error::io("remove", &temporary))?;
             }
@@ -69,7 +69,7 @@ impl RunFolder {
             tracing::debug!("saved {}", folder.display());
         }
         let old = self.states()?.into_iter().filter(|state| state != &folder);
-        for old in old.chain(self.partial_states()?) {
+        for old in old {
             std::fs::remove_dir_all(&old).map_err(Error::io("remove", &old))?;
         }
         Ok(())
@@ -109,11 +109,6 @@ impl RunFolder {
         })
     }
 
-    /// What a killed save left behind.
-    pub(super) fn partial_states(&self) -> Result<Vec<PathBuf>> {
-        self.folders(|name| (name.strip_suffix(PARTIAL)?.strip_prefix('.')?.starts_with(STATE_PREFIX)).then_some(()))
-    }
-
     /// Folders in this one whose name is wanted, in order.
     fn folders(&self, wanted: impl Fn(&str) -> Option<()>) -> Result<Vec<PathBuf>> {
         let entries = std::fs::read_dir(self.path()).map_err(Error::io("list", self.path()))?;
@@ -139,9 +134,7 @@ pub(super) fn write_records<M: Module>(folder: &Path, model: &M, optimiser: &Mod
     model.clone().into_record().save(folder.join(STATE_MODEL)).map_err(failed(STATE_MODEL))?;
     optimiser.to_record().save(folder.join(STATE_OPTIMISER)).map_err(failed(STATE_OPTIMISER))?;
     for file in [STATE_MODEL, STATE_OPTIMISER] {
-        let path = folder.join(file);
-        let written = std::fs::File::open(&path).and_then(|file| file.sync_all());
-        written.map_err(Error::io("write", &path))?;
+        settle(&folder.join(file))?;
     }
     Ok(())
 }
@@ -153,6 +146,9 @@ pub(super) fn read_records<M: Module>(
     optimiser: ModuleOptimizer,
     steps: usize,
 ) -> Result<(M, ModuleOptimizer)> {
+    for file in [STATE_MODEL, STATE_OPTIMISER] {
+        require_readable(&folder.join(file))?;
+    }
     let record = ModuleRecord::load(folder.join(STATE_MODEL)).map_err(|error| damaged(folder, STATE_MODEL, &error))?;
     let weights = record.len();
     let model = model.try_load_record(record).map_err(|error| damaged(folder, STATE_MODEL, &error))?;

@@ -350,12 +350,12 @@ fn unknown_instructions_are_named_before_anything_is_read() {
 #[test]
 fn an_empty_split_says_what_is_missing() {
     let made = Made::new();
-    made.train(&["data.test=[]"]).assert().code(1).stderr(contains("`test`"));
+    made.train(&["data.test=[]"]).assert().code(1).stderr(contains("`data.test`: lists no drive"));
     made.train(&["systems.0.path=nowhere/{drive}.txt"])
         .assert()
         .code(1)
         .stderr(contains("nowhere").and(contains("`vo`")));
-    made.train(&["depth.source=lidar"]).assert().code(1).stderr(contains("0 of those with depth"));
+    made.train(&["depth.source=lidar"]).assert().code(1).stderr(contains("none of the pairs of `vo` has depth"));
 }
 
 #[test]

@@ -209,9 +209,9 @@ fn bad_predictions_are_named_and_never_dropped() {
     let column = header.iter().position(|name| *name == "variance_pitch").unwrap();
     for (value, found) in [
         ("NaN", "`variance_pitch` = `NaN`"),
-        ("0", "`variance_pitch` = 0"),
-        ("-1e-4", "`variance_pitch` = -0.0001"),
-        ("", "`variance_pitch` = ``"),
+        ("0", "`variance_pitch` = `0`"),
+        ("-1e-4", "`variance_pitch` = `-1e-4`"),
+        ("", "nothing in column `variance_pitch`"),
     ] {
         let broken: Vec<String> = good
             .lines()

@@ -14,7 +14,7 @@ fn factrs_reads_the_error_that_the_covariance_says() {
     let motion = MeasuredMotion {
         source: 0,
         target: 1,
-        times_s: None,
+        times: None,
         source_from_target: Pose::exp(&Tangent::new(1.1, 0.05, -0.02, 0.01, -0.02, 0.1)),
         covariance: Covariance6::from_std_devs(&Tangent::new(0.05, 0.02, 0.03, 1e-3, 2e-3, 8e-4)).transported(&skew),
         posterior: None,

@@ -169,7 +169,7 @@ fn packets_return_the_poses_the_measurements_were_made_from() {
         (drive.images.len(), drive.right_images.len(), drive.scans.len(), drive.oxts_poses.len()),
         (40, 40, 40, 40)
     );
-    assert!(drive.problems.is_empty() && drive.timestamps_s.len() == 40);
+    assert!(drive.problems.is_empty() && drive.times.len() == 40);
     // With hardly any pixel noise the visual odometry's error is far below a millimetre.
     let exact =
         SyntheticSettings { size: [640, 200], vo_pixel_noise: 1e-3, vo_landmarks: 192, lidar_steps: 0, ..settings };

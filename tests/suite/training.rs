@@ -222,8 +222,12 @@ fn an_interrupt_in_the_evaluation_resumes_to_it() {
         _ => {}
     });
     assert!(matches!(outcome, Err(Error::Interrupted)));
-
+    // Two of them would overwrite each other's states.
     let run = RunFolder::open(&config.run_folder()).unwrap();
+    let second = Learner::resume(config.clone(), made.dataset(&config), &device, run.clone());
+    assert!(second.err().unwrap().to_string().contains("is being trained already"));
+    drop(learner);
+
     let mut learner = Learner::resume(config.clone(), made.dataset(&config), &device, run).unwrap();
     let mut epochs = 0;
     let outcome = learner.train(&mut |event| match event {

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::Context;
 
-use super::{FuseArguments, reached};
+use super::{FuseArguments, reached, reached_frames};
 use crate::cli::output::make_folder;
 use crate::cli::progress::note;
 use crate::cli::{Terminal, print_result};
@@ -13,9 +13,12 @@ use crate::error::{Error, Result};
 use crate::export::fused_trajectory;
 use crate::files::{read_text, write_atomically};
 use crate::fusion::{Odometry, SimulatedFixes, TrajectoryScores, fuse, parse_fixes};
-use crate::geometry::{Covariance6, Tangent};
+use crate::geometry::{Covariance6, ErrorFrame, Tangent};
 use crate::report::{FusionRow, fusion_table};
-use crate::systems::{parse_kitti_trajectory, parse_relative_poses, stated_frame};
+use crate::systems::{
+    Joined, KittiPoses, RelativePose, Statement, Trajectory, frames_of_rows, parse_bare_relative_poses,
+    parse_kitti_poses, parse_relative_poses,
+};
 
 /// Systems in files: one trajectory.
 pub(super) fn fuse_files(arguments: &FuseArguments, terminal: &Terminal) -> anyhow::Result<()> {
@@ -30,11 +33,12 @@ pub(super) fn fuse_files(arguments: &FuseArguments, terminal: &Terminal) -> anyh
         }
     }
     let read = arguments.odometry.iter().map(|text| read_odometry(text, &constants)).collect::<Result<Vec<_>>>()?;
-    let frames: Vec<&String> = read.iter().filter_map(|(_, frame)| frame.as_ref()).collect();
+    let frames: Vec<ErrorFrame> = read.iter().filter_map(|(_, frame)| *frame).collect();
     if let Some(other) = frames.iter().find(|frame| **frame != frames[0]) {
         let problem = format!(
-            "the odometry is of different bodies: {} and {other}, as the first lines of the files say; `relcov predict --frame` writes all of them in one",
-            frames[0]
+            "the odometry is of different bodies: {} and {}, as the first lines of the files say; `relcov predict --frame` writes all of them in one",
+            frames[0].name(),
+            other.name()
         );
         return Err(Error::Data(problem).into());
     }
@@ -44,7 +48,7 @@ pub(super) fn fuse_files(arguments: &FuseArguments, terminal: &Terminal) -> anyh
     }
     let truth = match &arguments.truth {
         None => None,
-        Some(path) => Some(parse_kitti_trajectory(&read_text(path)?, path, 0)?),
+        Some(path) => Some(read_truth(path, &odometry)?),
     };
     let fixes = match (&arguments.fixes, arguments.simulate_fixes, &truth) {
         (Some(path), ..) => parse_fixes(&read_text(path)?, path)?,
@@ -96,15 +100,18 @@ fn parse_constant(text: &str) -> Result<(String, Covariance6)> {
 }
 
 /// A system's motions, and the axes that the file says they are in.
-fn read_odometry(text: &str, constants: &BTreeMap<String, Covariance6>) -> Result<(Odometry, Option<String>)> {
+fn read_odometry(text: &str, constants: &BTreeMap<String, Covariance6>) -> Result<(Odometry, Option<ErrorFrame>)> {
     let (name, path) =
         text.split_once('=').ok_or_else(|| Error::Data(format!("--odometry {text}: expected NAME=FILE")))?;
     let path = Path::new(path);
     let text = read_text(path)?;
-    let mut motions = parse_relative_poses(&text, path)?;
-    if let Some(covariance) = constants.get(name) {
-        motions.iter_mut().for_each(|motion| motion.covariance = Some(*covariance));
-    }
+    let motions = match constants.get(name) {
+        None => parse_relative_poses(&text, path)?,
+        Some(covariance) => {
+            let bare = parse_bare_relative_poses(&text, path)?.into_iter();
+            bare.map(|motion| RelativePose { covariance: Some(*covariance), ..motion }).collect()
+        }
+    };
     if let Some(bare) = motions.iter().find(|motion| motion.covariance.is_none()) {
         return Err(Error::Data(format!(
             "{}: frames {} and {} have no covariance; `relcov predict --format csv` gives them one, or --constant {name}=…",
@@ -114,5 +121,16 @@ fn read_odometry(text: &str, constants: &BTreeMap<String, Covariance6>) -> Resul
         )));
     }
     let odometry = Odometry { system: name.to_owned(), motions };
-    Ok((odometry, stated_frame(&text).map(str::to_owned)))
+    Ok((odometry, Statement::of(&text).frame))
+}
+
+/// True poses of the frames that the odometry reaches; a file that does not say its frames has a row for each.
+fn read_truth(path: &Path, odometry: &[Odometry]) -> Result<Trajectory> {
+    let poses = match parse_kitti_poses(&read_text(path)?, path)? {
+        KittiPoses::Framed(trajectory) => return Ok(trajectory),
+        KittiPoses::Rows(poses) => poses,
+    };
+    let reached = reached_frames(odometry).into_iter().collect();
+    let joined = Joined { whose: "the odometry", sequence: None, is_sequence: false, sets: [reached, Vec::new()] };
+    Ok(frames_of_rows(poses.len(), path, &joined)?.into_iter().zip(poses).collect())
 }

@@ -2,8 +2,6 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
-
 use super::{BodyArgument, MeasurementFormat, PoseNumbers, PredictArguments};
 use crate::config::{
     Config, DataConfig, DepthConfig, DriveConfig, MeasurementFrame, RelativeConfig, SystemConfig, SystemSource,
@@ -11,6 +9,7 @@ use crate::config::{
 };
 use crate::data::Manifest;
 use crate::error::{Error, Place, Result};
+use crate::files::extension;
 
 /// The measurements of one drive.
 pub(super) fn of_drive(arguments: &PredictArguments, config: Config, drive: &Path) -> anyhow::Result<Config> {
@@ -18,30 +17,43 @@ pub(super) fn of_drive(arguments: &PredictArguments, config: Config, drive: &Pat
     if !path.is_file() {
         return Err(Error::Data(format!("--measurements {}: no such file", path.display())).into());
     }
-    let folder = drive.canonicalize().map_err(Error::io("read", drive))?;
-    let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let root = folder.parent().and_then(Path::parent).context("--drive: expected a folder ROOT/DATE/DRIVE")?;
-    let path = path.canonicalize().map_err(Error::io("read", path))?;
-    let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
-    let form = arguments.measurement_format.unwrap_or(match extension {
+    let (root, name) = drive_below_root(drive)?;
+    let path = std::path::absolute(path).map_err(Error::io("read", path))?;
+    let form = arguments.measurement_format.unwrap_or(match extension(&path).as_str() {
         "csv" => MeasurementFormat::Relative,
         "tum" => MeasurementFormat::Tum,
         _ => MeasurementFormat::Kitti,
     });
     let frame = arguments.measurement_frame.map_or(MeasurementFrame::Camera0, BodyArgument::frame);
-    let file = path.display().to_string();
-    let trajectory = |format| SystemSource::Trajectory(TrajectoryConfig { path: file.clone(), format, frame });
+    let system = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let trajectory = |format| SystemSource::Trajectory(TrajectoryConfig { path: path.clone(), format, frame });
     let source = match form {
         MeasurementFormat::Kitti => trajectory(TrajectoryFormat::Kitti),
         MeasurementFormat::Tum => trajectory(TrajectoryFormat::Tum),
-        MeasurementFormat::Relative => SystemSource::Relative(RelativeConfig { path: file.clone(), frame }),
+        MeasurementFormat::Relative => SystemSource::Relative(RelativeConfig { path: path.clone(), frame }),
     };
-    let system = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     Ok(Config {
-        data: only_test(&config.data, root.to_owned(), None, None, vec![DriveConfig { drive: name, frames: None }]),
+        data: only_test(&config.data, root, None, None, vec![DriveConfig { drive: name, frames: None }]),
         truth: TruthConfig::Oxts,
         systems: vec![SystemConfig { name: system, share: 1.0, source }],
         ..config
+    })
+}
+
+/// The root above a drive's folder, and its name: as it is called, for a link has its own name; as what it leads to where
+/// that is no drive's.
+fn drive_below_root(folder: &Path) -> Result<(PathBuf, String)> {
+    let split = |path: &Path| {
+        let (name, root) = (path.file_name()?.to_str()?.to_owned(), path.parent()?.parent()?.to_owned());
+        (root.join(name.get(..10)?).join(&name) == path && path.is_dir()).then_some((root, name))
+    };
+    let resolved = folder.canonicalize().map_err(Error::io("read", folder))?;
+    let called = std::path::absolute(folder).map_err(Error::io("read", folder))?;
+    split(&called).or_else(|| split(&resolved)).ok_or_else(|| {
+        Error::Data(format!(
+            "--drive {}: expected a folder ROOT/DATE/DRIVE in the KITTI raw layout, such as kitti/2011_09_30/2011_09_30_drive_0034_sync",
+            folder.display()
+        ))
     })
 }
 

@@ -9,7 +9,7 @@ use crate::cli::progress::note;
 use crate::cli::{Terminal, print_result};
 use crate::error::Error;
 use crate::export::{Format, MeasuredMotions};
-use crate::files::{require_no_folder, write_atomically};
+use crate::files::{fill_template, require_no_folder, write_atomically};
 
 /// Where predictions go.
 pub(super) struct Sink<'a> {
@@ -62,8 +62,8 @@ impl<'a> Sink<'a> {
 
     /// Where one system's predictions on one drive go; `None`: to stdout.
     fn path(&self, system: &str, drive: &str) -> Option<PathBuf> {
-        let template = self.arguments.out.as_ref()?.display().to_string();
-        Some(template.replace("{system}", system).replace("{drive}", drive).into())
+        let template = self.arguments.out.as_ref()?;
+        Some(fill_template(template, &[("{system}", system), ("{drive}", drive)]))
     }
 }
 

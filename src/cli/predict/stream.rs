@@ -35,12 +35,12 @@ pub(super) fn stream(arguments: &PredictArguments, config: &Config, model: &Mode
             Request::Line if line.iter().all(u8::is_ascii_whitespace) => continue,
             Request::Line => match std::str::from_utf8(&line) {
                 Ok(text) => stream.answer(text),
-                Err(error) => Stream::refuse(&format!("not UTF-8: {error}")),
+                Err(error) => Stream::refuse(&String::from_utf8_lossy(&line), &format!("not UTF-8: {error}")),
             },
-            Request::TooLong => Stream::refuse(&format!(
-                "a line of more than {} MiB; send paths, or smaller images",
-                LONGEST_REQUEST_BYTES >> 20
-            )),
+            Request::TooLong => {
+                let most = LONGEST_REQUEST_BYTES >> 20;
+                Stream::refuse("", &format!("a line of more than {most} MiB; send paths, or smaller images"))
+            }
         };
         match writeln!(answers, "{answer}").and_then(|()| answers.flush()) {
             Err(error) if error.kind() == io::ErrorKind::BrokenPipe => return Ok(()),

@@ -39,7 +39,7 @@ mod tests {
         let motion = |verdict| MeasuredMotion {
             source: 0,
             target: 1,
-            times_s: None,
+            times: None,
             source_from_target: Pose::identity(),
             covariance: Covariance6::zero(),
             posterior: None,

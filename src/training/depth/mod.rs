@@ -155,7 +155,7 @@ impl DepthLearner {
         };
         let history: DepthHistory = serde_json::from_str(&read_text(&state.join(HISTORY))?)
             .map_err(|error| damaged(&state, HISTORY, &error))?;
-        let mut learner = Self::new(config, device, || Ok(run))?;
+        let mut learner = Self::new(config, device, || run.owned())?;
         if history.settings != learner.settings() {
             return Err(Error::run(
                 folder,

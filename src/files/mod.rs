@@ -1,0 +1,61 @@
+//! Files as people have them: text and tables read with errors that name the place, names as the operating system has
+//! them, and writing so that whatever bears its final name is whole.
+
+mod names;
+mod table;
+mod text;
+mod write;
+
+use std::path::Path;
+
+use sha2::{Digest, Sha256};
+
+use crate::error::{Error, Place, Result};
+
+pub(crate) use names::{extension, fill_template, is_plain, own_name, utf8_name};
+pub(crate) use table::{Form, Header, Row, Table};
+pub(crate) use text::{LARGEST_FRAME, frame_index, parse_numbers, read_text, rows};
+pub(crate) use write::{
+    has_partial, is_partial, put_in_place, remove_partial, require_no_folder, settle, temporary_name, write_atomically,
+    write_renamed,
+};
+
+/// Larger files are no images.
+const LARGEST_FILE_BYTES: u64 = 256 << 20;
+
+/// SHA-256 in hexadecimal.
+pub(crate) fn sha256_hex(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// That a file can be opened: libraries that read it by its name say less of why it cannot.
+///
+/// # Errors
+/// It is not there, or the user may not read it.
+pub(crate) fn require_readable(path: &Path) -> Result<()> {
+    std::fs::File::open(path).map(drop).map_err(Error::io("read", path))
+}
+
+/// Reads a whole file of bytes: a regular one, and not one so large that it can only be a mistake.
+///
+/// # Errors
+/// It cannot be read, is a folder, a pipe or a device, or larger than any image is.
+pub(crate) fn read_bytes(path: &Path) -> Result<Vec<u8>> {
+    let metadata = std::fs::metadata(path).map_err(Error::io("read", path))?;
+    if !metadata.is_file() || metadata.len() > LARGEST_FILE_BYTES {
+        let found = if metadata.is_file() { format!("{} bytes", metadata.len()) } else { "no regular file".to_owned() };
+        let expected = format!("a file of at most {} MiB", LARGEST_FILE_BYTES >> 20);
+        return Err(Error::malformed(path, Place::Whole, found, expected));
+    }
+    std::fs::read(path).map_err(Error::io("read", path))
+}
+
+#[cfg(test)]
+mod tests {
+    #[cfg(unix)]
+    #[test]
+    fn a_device_is_no_file() {
+        let message = super::read_bytes("/dev/null".as_ref()).unwrap_err().to_string();
+        assert!(message.contains("no regular file"), "{message}");
+    }
+}

@@ -1,0 +1,80 @@
+//! Names of files: as the user wrote them, and as the operating system has them.
+
+use std::path::{Path, PathBuf};
+
+use crate::error::{Error, Result};
+
+/// Fit to name a folder and a column.
+pub(crate) fn is_plain(name: &str) -> bool {
+    !name.is_empty() && !name.starts_with('.') && name.chars().all(|c| c.is_alphanumeric() || "-_.".contains(c))
+}
+
+/// The extension in lower case: `VO.CSV` is a CSV file.
+pub(crate) fn extension(path: &Path) -> String {
+    path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase()
+}
+
+/// The last name of a path as it was written; that of the folder it stands for where it ends in dots. A link has its own.
+pub(crate) fn own_name(path: &Path) -> String {
+    let resolved = || path.canonicalize().ok()?.file_name().map(ToOwned::to_owned);
+    let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    let name = absolute.file_name().map(ToOwned::to_owned).or_else(resolved);
+    name.unwrap_or_else(|| path.as_os_str().to_owned()).to_string_lossy().into_owned()
+}
+
+/// A path as the text that a configuration holds.
+///
+/// # Errors
+/// Its bytes are no UTF-8; as text it would be another path.
+pub(crate) fn utf8_name(path: &Path) -> Result<String> {
+    path.to_str().map(str::to_owned).ok_or_else(|| {
+        Error::Data(format!("{}: the path is no UTF-8, which configurations cannot hold; rename it", path.display()))
+    })
+}
+
+/// A path with the slots of its template filled, such as `{drive}`; all else stays as it is, UTF-8 or not.
+pub(crate) fn fill_template(template: &Path, slots: &[(&str, &str)]) -> PathBuf {
+    let fill = |text: &str| slots.iter().fold(text.to_owned(), |text, (slot, value)| text.replace(slot, value));
+    match template.to_str() {
+        Some(text) => PathBuf::from(fill(text)),
+        None => template
+            .iter()
+            .map(|part| part.to_str().map_or_else(|| part.to_owned(), |part| fill(part).into()))
+            .collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_is_what_it_is_called() {
+        assert_eq!(extension(Path::new("logs/VO.CSV")), "csv");
+        assert_eq!(own_name(Path::new("runs/best/")), "best");
+        let folder = tempfile::tempdir().unwrap();
+        let inner = folder.path().join("inner");
+        std::fs::create_dir(&inner).unwrap();
+        assert_eq!(own_name(&inner.join(".")), "inner");
+        assert_eq!(own_name(&inner.join("..")), own_name(folder.path()));
+    }
+
+    #[test]
+    fn slots_are_filled() {
+        let slots = [("{system}", "vo"), ("{drive}", "lab")];
+        assert_eq!(fill_template(Path::new("a/{system}/{drive}.csv"), &slots), Path::new("a/vo/lab.csv"));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_path_that_is_no_utf8_stays_that_path() {
+        use std::ffi::OsStr;
+        use std::os::unix::ffi::OsStrExt;
+        let path = |bytes: &'static [u8]| Path::new(OsStr::from_bytes(bytes));
+        assert_eq!(
+            fill_template(path(b"/d\xe9p\xf4t/{system}.csv"), &[("{system}", "vo")]),
+            path(b"/d\xe9p\xf4t/vo.csv")
+        );
+        assert!(utf8_name(path(b"d\xe9p\xf4t")).unwrap_err().to_string().contains("no UTF-8"));
+    }
+}
