@@ -81,7 +81,7 @@ impl Time {
         let mut time = time.splitn(3, ':');
         let (hours, minutes) = (whole(time.next()?)?, whole(time.next()?)?);
         let seconds = Self::parse_seconds(time.next()?).filter(|seconds| (0..=60 * SECOND).contains(&seconds.0))?;
-        if !(1..=12).contains(&month) || !(1..=31).contains(&day) || hours > 24 || minutes > 59 {
+        if !(1..=12).contains(&month) || !(1..=days_of(month, year)).contains(&day) || hours > 23 || minutes > 59 {
             return None;
         }
         // Days from the civil calendar, years counted from March.
@@ -95,6 +95,15 @@ impl Time {
     }
 }
 
+fn days_of(month: i64, year: i64) -> i64 {
+    match month {
+        2 if year % 4 == 0 && (year % 100 != 0 || year % 400 == 0) => 29,
+        2 => 28,
+        4 | 6 | 9 | 11 => 30,
+        _ => 31,
+    }
+}
+
 /// A whole number of at most four digits.
 fn whole(digits: &str) -> Option<i64> {
     ((1..=4).contains(&digits.len()) && digits.bytes().all(|byte| byte.is_ascii_digit()))
@@ -105,6 +114,9 @@ fn whole(digits: &str) -> Option<i64> {
 fn offset_s(text: &str) -> Option<i64> {
     let (sign, rest) = (if text.starts_with('-') { -1 } else { 1 }, &text[1..]);
     let digits = rest.replace(':', "");
+    if !digits.bytes().all(|byte| byte.is_ascii_digit()) {
+        return None;
+    }
     match (text.starts_with(['Z', 'z']), digits.len()) {
         (true, 0) => Some(0),
         (false, 2 | 4) => {
@@ -145,6 +157,9 @@ mod tests {
         }
         assert_eq!(parse("2012-02-29 00:00:00"), Some(1_330_473_600_000_000_000));
         for text in [
+            "2011-02-29 00:00:00",
+            "2011-09-30 24:00:00",
+            "2011-09-30 12:40:59 -für",
             "2011-13-30 12:40:59.5",
             "yesterday",
             "2011-09-30",
@@ -190,7 +205,8 @@ mod tests {
 
         #[test]
         fn no_text_makes_the_readers_panic(text in "[-+0-9.:TZe ]{0,40}", other in ".{0,20}") {
-            let _ = (Time::parse_seconds(&text), Time::parse_date(&text), Time::parse_date(&other));
+            let dated = format!("2011-09-30 1:2:3{other}");
+            let _ = (Time::parse_seconds(&text), Time::parse_date(&text), Time::parse_date(&dated));
         }
     }
 }

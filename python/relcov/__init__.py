@@ -130,8 +130,8 @@ class Model:
         :param image1: target image, the same shape.
         :param K: ``(3, 3)`` intrinsics of both images at that size, px, no skew.
         :param T: ``(4, 4)`` or ``(3, 4)`` measured ``source_from_target``, axes of the camera, m.
-        :param depth: depth of the target image, ``(h, w)`` of any size, m along the optical axis, 0 or NaN = unknown.
-            Without one the source that the model was trained with is asked, if it needs nothing but the image: a flat
+        :param depth: depth of the target image, ``(h, w)`` of any size of its aspect, m along the optical axis, 0 or NaN =
+            unknown. Without one the source that the model was trained with is asked, if it needs nothing but the image: a flat
             road, or a depth network whose scale is known.
         :param right: for stereo models: right source image, right target image, and ``(4, 4)`` ``right_from_left``.
         :param camera_from_vehicle: for models with evidence in axes of the vehicle: ``(4, 4)`` vehicle axes into those of

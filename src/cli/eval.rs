@@ -77,6 +77,9 @@ pub struct EvalArguments {
 
 pub fn run(arguments: EvalArguments, terminal: &Terminal) -> anyhow::Result<()> {
     arguments.output.check(1)?;
+    let read: Vec<&Path> =
+        [&arguments.pairs, &arguments.fit, &arguments.config].into_iter().filter_map(|path| path.as_deref()).collect();
+    arguments.output.require_apart(&read)?;
     let Overrides { set, device } = &arguments.overrides;
     if arguments.pairs.is_some() && !(set.is_empty() && device.is_none()) {
         return Err(Error::Data("--set and --device change nothing about --pairs; leave them out".to_owned()).into());
@@ -159,7 +162,15 @@ pub fn evaluate_run(
     for bad in &bad_frames {
         note(false, &format!("left out: {}", describe(bad)));
     }
+    note_blind_pairs(&reader.blind_pairs());
     Ok(Entry { name: own_name(run_path), evaluation, table, folder: Some(run.path().to_owned()) })
+}
+
+/// Says how many pairs a warp shows nothing of, and which is the first.
+pub fn note_blind_pairs(blind: &[String]) {
+    if let Some(first) = blind.first() {
+        note(false, &format!("left out: {} pairs, the first: {first}", blind.len()));
+    }
 }
 
 /// A split's measurements with a model's predictions, and what they were made with.

@@ -7,7 +7,7 @@ use clap::Args;
 use super::{Terminal, print_result, progress::note};
 use crate::error::{Error, Result};
 use crate::evaluation::write_pairs;
-use crate::files::{extension, write_atomically};
+use crate::files::{extension, require_apart, write_atomically};
 use crate::report::{Comparison, Detail, Intervals, TableFormat, figures, render_results};
 
 /// How much of a result is shown.
@@ -71,6 +71,16 @@ impl OutputArguments {
             std::fs::create_dir_all(folder).map_err(Error::io("create the folder", folder))?;
         }
         Ok(())
+    }
+
+    /// That nothing that is read is written over.
+    ///
+    /// # Errors
+    /// Something would be.
+    pub fn require_apart(&self, read: &[&Path]) -> Result<()> {
+        let results = self.save_results.iter().flat_map(|path| [path.clone(), path.with_extension("csv")]);
+        let mut written = results.chain(self.save_table.clone());
+        written.try_for_each(|path| require_apart(&path, read))
     }
 
     /// Prints the table and writes what was asked for. The table first: a folder that cannot be written must

@@ -17,7 +17,7 @@ use crate::data::{Dataset, Drive, PairScope, Split, SplitName};
 use crate::depth::{DepthCache, DepthEstimator, Present, precompute};
 use crate::device::{device_name, open_device};
 use crate::error::{Error, Result};
-use crate::export::{ExportOptions, Format, G2oRotation, Perturbation, Poses, TrajectoryCovariance};
+use crate::export::{ExportOptions, Format, G2oRotation, MeasuredMotions, Perturbation, Poses, TrajectoryCovariance};
 use crate::network::Head;
 use crate::predict::Model;
 use crate::training::{Manifest, RunFolder};
@@ -209,7 +209,6 @@ pub fn run(arguments: &PredictArguments, terminal: &Terminal) -> anyhow::Result<
     let owners: BTreeSet<(usize, usize)> = pairs.pairs.iter().map(|pair| (pair.system, pair.id.drive)).collect();
     let names = |&(system, drive): &(usize, usize)| (&*dataset.systems[system], &*dataset.drives[drive].name);
     let sink = Sink::new(arguments, owners.iter().map(names))?;
-    warn_of_missing_times(arguments.format, owners.iter().map(|&(_, drive)| &dataset.drives[drive]));
     let frame = arguments.frame.map(FrameArgument::frame).or(arguments.format.usual_frame());
     let frame = frame.unwrap_or(model.error_frame());
     arguments.format.check_frame(frame)?;
@@ -224,6 +223,7 @@ pub fn run(arguments: &PredictArguments, terminal: &Terminal) -> anyhow::Result<
     if count == 0 {
         return Err(Error::Data("not one pair could be read; the warnings above say why".to_owned()).into());
     }
+    warn_of_missing_times(arguments.format, &predicted, &dataset);
     sink.write(&predicted, terminal)?;
     let rate = count as f64 / begin.elapsed().as_secs_f64();
     let (gaps, verdicts) = (describe_gaps(&dataset, pairs, count), describe_verdicts(&predicted, arguments.poses()));
@@ -232,14 +232,21 @@ pub fn run(arguments: &PredictArguments, terminal: &Terminal) -> anyhow::Result<
 }
 
 /// Says what stands in place of times that are not known, in formats that have them.
-fn warn_of_missing_times<'a>(format: Format, drives: impl Iterator<Item = &'a Drive>) {
+fn warn_of_missing_times(format: Format, predicted: &[MeasuredMotions], dataset: &Dataset) {
     let instead = match format {
-        Format::Ros => "stamps are 0",
+        Format::Ros => "their stamps are 0",
         Format::Tum => "t is the frame",
         _ => return,
     };
-    let missing = drives.filter_map(|drive| drive.require_times(&format!("--format {}", format.name())).err());
-    missing.collect::<Vec<_>>().iter().take(1).for_each(|error| note(false, &format!("warning: {error}; {instead}")));
+    for MeasuredMotions { drive, motions, .. } in predicted {
+        let untimed = motions.iter().filter(|motion| motion.times.is_none()).count();
+        let missing = dataset.drives.iter().find(|known| known.name == *drive).map_or("", Drive::missing_times);
+        if untimed > 0 {
+            let count = motions.len();
+            let text = format!("warning: {drive}: {untimed} of {count} motions have no times ({missing}); {instead}");
+            note(false, &text);
+        }
+    }
 }
 
 /// Which measurements got no covariance, and why.
@@ -248,10 +255,8 @@ fn describe_gaps(dataset: &Dataset, split: &Split, predicted: usize) -> String {
     let measured: usize = of_split.flat_map(|coverage| &coverage.measured_pairs).sum();
     // Of training drives some pairs may be held out, which lack nothing.
     let lacking = if split.name == SplitName::Test { measured.saturating_sub(split.pairs.len()) } else { 0 };
-    let gaps = [
-        (split.pairs.len() - predicted, "could not be read, or show nothing of the target"),
-        (lacking, "have no images or no depth"),
-    ];
+    let gaps =
+        [(split.pairs.len() - predicted, "could not be used, as said above"), (lacking, "have no images or no depth")];
     gaps.iter().filter(|(pairs, _)| *pairs > 0).map(|(pairs, why)| format!("; {pairs} {why}")).collect()
 }
 

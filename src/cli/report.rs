@@ -1,6 +1,6 @@
 //! `relcov report`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 
@@ -8,7 +8,7 @@ use super::Terminal;
 use super::output::{OutputArguments, make_folder};
 use super::progress::note;
 use crate::error::Result;
-use crate::files::write_atomically;
+use crate::files::{require_apart, write_atomically};
 use crate::report::{Comparison, Entry, html_page};
 
 /// Arguments of `relcov report`.
@@ -34,6 +34,10 @@ pub struct ReportArguments {
 
 pub fn run(arguments: &ReportArguments, terminal: &Terminal) -> anyhow::Result<()> {
     arguments.output.check(arguments.results.len())?;
+    let measurements: Vec<PathBuf> = arguments.results.iter().map(|path| path.with_extension("csv")).collect();
+    let read: Vec<&Path> = arguments.results.iter().chain(&measurements).map(PathBuf::as_path).collect();
+    arguments.output.require_apart(&read)?;
+    arguments.html.as_deref().map_or(Ok(()), |html| require_apart(html, &read))?;
     arguments.html.as_deref().map(make_folder).transpose()?;
     let entries = arguments.results.iter().map(|path| Entry::load(path)).collect::<Result<Vec<_>>>()?;
     let comparison = Comparison::new(entries)?;

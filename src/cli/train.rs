@@ -69,17 +69,9 @@ pub fn run(arguments: TrainArguments, terminal: &Terminal) -> anyhow::Result<()>
     );
     let bad = learner.bad_frames();
     if !bad.is_empty() {
-        note(
-            false,
-            &format!(
-                "{} frames or pairs were left out, the first: {}, frame {}: {}",
-                bad.len(),
-                bad[0].drive,
-                bad[0].frame,
-                bad[0].problem
-            ),
-        );
+        note(false, &format!("{} frames could not be read and were left out", bad.len()));
     }
+    eval::note_blind_pairs(&learner.blind_pairs());
     let run = learner.run().path().to_owned();
     drop(learner);
     let entry = eval::evaluate_run(&run, None, SplitName::Test, Recalibrate::AsStored, &arguments.overrides, terminal)?;

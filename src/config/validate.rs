@@ -1,13 +1,15 @@
 //! What a configuration must satisfy beyond its types.
 
+use std::path::Path;
+
 use super::{
     Config, DataConfig, DepthConfig, DepthTrainingConfig, DriveConfig, MinLogVariance, ModelConfig, NetworkDepthConfig,
-    PerturbationConfig, SystemSource,
+    PerturbationConfig, SystemSource, TruthConfig,
 };
 use crate::depth::monodepth2::{MOST_SIZE, SIZE_STEP, is_input_size};
 use crate::depth::{DepthRange, ScaleRule};
 use crate::error::{Error, Result};
-use crate::files::is_plain;
+use crate::files::{DEPTH_SLOTS, MEASUREMENT_SLOTS, is_plain, require_slots};
 use crate::model::{EvidenceInput, ImagePair, PoseInput};
 use crate::network::{Head, ImageNetwork};
 use crate::synthetic::{SyntheticSettings, drive_name};
@@ -136,6 +138,7 @@ impl Config {
                 format!("`{}` cannot head a column; use letters, digits, - and _", system.name)
             })?;
         }
+        self.validate_templates()?;
         let total: f64 = self.systems.iter().map(|system| system.share).sum();
         require((total - 1.0).abs() < 1e-9, "systems", || format!("the shares sum to {total}, not 1"))?;
         let batch = self.training.batch;
@@ -166,6 +169,28 @@ impl Config {
             let known = learned().any(|system| &system.name == name);
             let problem = || format!("`{name}` is none of the systems that are learned from");
             require(known, "training.watch_system", problem)?;
+        }
+        Ok(())
+    }
+
+    /// Paths with slots, such as `{drive}`.
+    fn validate_templates(&self) -> Result<()> {
+        let check = |path: &Path, slots: &[&str], key: &str| {
+            require_slots(path, slots).map_err(|problem| Error::config(key, problem))
+        };
+        for (index, system) in self.systems.iter().enumerate() {
+            let path = match &system.source {
+                SystemSource::Trajectory(config) => &config.path,
+                SystemSource::Relative(config) => &config.path,
+                _ => continue,
+            };
+            check(path, &MEASUREMENT_SLOTS, &format!("systems.{index}.path"))?;
+        }
+        if let TruthConfig::Trajectory(config) = &self.truth {
+            check(&config.path, &MEASUREMENT_SLOTS, "truth.path")?;
+        }
+        if let DepthConfig::Files { path } = &self.depth {
+            check(Path::new(path), &DEPTH_SLOTS, "depth.path")?;
         }
         Ok(())
     }

@@ -1,5 +1,6 @@
 //! What drives give to splits, and why they may give nothing.
 
+use std::fmt;
 use std::path::PathBuf;
 
 use super::dataset::{Dataset, PairScope, SplitName};
@@ -32,10 +33,12 @@ pub struct Coverage {
     pub measured_pairs: Vec<usize>,
     /// For each system: those of them whose two images exist.
     pub measured_with_images: Vec<usize>,
-    /// For each system: the first and last frame it measured, with or without a truth.
-    pub measured_frames: Vec<Option<[usize; 2]>>,
-    /// The first and last frame with a true pose.
-    pub true_frames: Option<[usize; 2]>,
+    /// For each system: the frames it measured, with or without a truth.
+    pub measured_frames: Vec<FrameSpan>,
+    /// The frames of the drive with a true pose.
+    pub true_frames: FrameSpan,
+    /// The frames of the drive with an image.
+    pub image_frames: FrameSpan,
     /// For each system: the file that was looked for and is not there.
     pub missing_files: Vec<Option<PathBuf>>,
 }
@@ -53,39 +56,63 @@ impl Dataset {
         let Some(first) = coverage.first() else {
             return Error::config(format!("data.{}", name.name()), "lists no drive");
         };
-        let (drive, label) = (&self.drives[first.drive], &self.systems[system]);
+        let lacks_depth = |coverage: &&&Coverage| coverage.measured_with_images[system] > 0;
+        let without_depth = coverage.iter().find(lacks_depth).filter(|_| self.scope != PairScope::Poses);
+        let shown = without_depth.unwrap_or(first);
+        let (drive, label) = (&self.drives[shown.drive].name, &self.systems[system]);
         let elsewhere = match coverage.len() {
             1 => String::new(),
-            drives => format!(" (the first of {drives} drives)"),
+            drives => format!(" (one of {drives} drives)"),
         };
-        if let Some(path) = &first.missing_files[system] {
+        if without_depth.is_some() {
             return Error::Data(format!(
-                "`{label}` measured nothing in {}{elsewhere}: not found: {}",
-                drive.name,
+                "{drive}{elsewhere}: none of the pairs of `{label}` has depth; choose another depth.source (docs/depth.md)"
+            ));
+        }
+        if let Some(path) = &shown.missing_files[system] {
+            return Error::Data(format!(
+                "`{label}` measured nothing in {drive}{elsewhere}: not found: {}",
                 path.display()
             ));
         }
-        if coverage.iter().any(|coverage| coverage.measured_with_images[system] > 0) && self.scope != PairScope::Poses {
-            return Error::Data(format!(
-                "{}{elsewhere}: none of the pairs of `{label}` has depth; choose another depth.source (docs/depth.md)",
-                drive.name
-            ));
-        }
-        let mut sides = vec![format!("`{label}` measured {}", describe_span(first.measured_frames[system]))];
+        let mut sides = vec![format!("`{label}` measured {}", shown.measured_frames[system])];
         if self.scope != PairScope::Measured {
-            sides.push(format!("true poses are of {}", describe_span(first.true_frames)));
+            sides.push(format!("true poses are of {}", shown.true_frames));
         }
         if self.scope != PairScope::Poses {
-            let span = drive.images.keys().next().zip(drive.images.keys().last()).map(|(&first, &last)| [first, last]);
-            sides.push(format!("images are of {}", describe_span(span)));
+            sides.push(format!("images are of {}", shown.image_frames));
         }
         let cut =
-            first.frames.map_or(String::new(), |[first, end]| format!(", frames {first} … {}", end.saturating_sub(1)));
-        Error::Data(format!("no pairs of `{label}` in {}{cut}{elsewhere}: {}", drive.name, sides.join(", ")))
+            shown.frames.map_or(String::new(), |[first, end]| format!(", frames {first} … {}", end.saturating_sub(1)));
+        Error::Data(format!("no pair of `{label}` in {drive}{cut}{elsewhere} has all it needs: {}", sides.join(", ")))
     }
 }
 
-/// Of frames 3 … 17.
-fn describe_span(span: Option<[usize; 2]>) -> String {
-    span.map_or("no frames".to_owned(), |[first, last]| format!("frames {first} … {last}"))
+/// How many frames there are of something, and which.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FrameSpan {
+    count: usize,
+    first: usize,
+    last: usize,
+}
+
+impl FrameSpan {
+    /// Of frames in order.
+    pub(super) fn of(frames: impl IntoIterator<Item = usize>) -> Self {
+        let mut span = Self::default();
+        for frame in frames {
+            span = Self { count: span.count + 1, first: if span.count == 0 { frame } else { span.first }, last: frame };
+        }
+        span
+    }
+}
+
+impl fmt::Display for FrameSpan {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self { count: 0, .. } => write!(formatter, "no frames"),
+            Self { count, first, last } if last - first + 1 == *count => write!(formatter, "frames {first} … {last}"),
+            Self { count, first, last } => write!(formatter, "{count} of the frames {first} … {last}"),
+        }
+    }
 }

@@ -32,8 +32,10 @@ pub struct Drive {
     pub oxts_poses: BTreeMap<usize, Pose>,
     /// Time of each frame (UTC as written); empty without a timestamps file.
     pub times: BTreeMap<usize, Time>,
-    /// Packets and times that could not be read; their frames have none.
+    /// Packets that could not be read; their frames have no pose.
     pub problems: Vec<String>,
+    /// Times that could not be read or are missing; their frames have none.
+    pub time_problems: Vec<String>,
     /// What a pairs manifest says of it; `None` for drives in the KITTI layout.
     pub listed: Option<Listed>,
 }
@@ -64,11 +66,11 @@ impl Drive {
                 crate::config::DATA_ROOT_VARIABLE
             )));
         }
-        let mut problems = Vec::new();
+        let (mut problems, mut time_problems) = (Vec::new(), Vec::new());
         let packets = list_frames(&folder.join("oxts/data"), &["txt"])?;
         let oxts_poses = load_poses(&packets, &mut problems);
         let images = list_frames(&folder.join("image_02/data"), &["png", "jpg", "jpeg"])?;
-        let times = load_times(&folder, [&images, &packets], &mut problems);
+        let times = load_times(&folder, [&images, &packets], &mut time_problems);
         Ok(Self {
             name: name.to_owned(),
             calibration: Calibration::load(&date_folder)?,
@@ -78,6 +80,7 @@ impl Drive {
             oxts_poses,
             times,
             problems,
+            time_problems,
             listed: None,
         })
     }
@@ -87,14 +90,22 @@ impl Drive {
     /// # Errors
     /// None are known.
     pub fn require_times(&self, what: &str) -> Result<&BTreeMap<usize, Time>> {
-        if !self.times.is_empty() {
-            return Ok(&self.times);
+        match self.times.is_empty() {
+            false => Ok(&self.times),
+            true => Err(Error::Data(format!(
+                "{}: the times of its frames are not known; {what} needs {}",
+                self.name,
+                self.missing_times()
+            ))),
         }
-        let missing = match self.listed {
+    }
+
+    /// Where times that are not known would stand.
+    pub(crate) fn missing_times(&self) -> &'static str {
+        match self.listed {
             None => "image_02/timestamps.txt or oxts/timestamps.txt with a time a line",
             Some(_) => "the columns source_time and target_time in its manifest",
-        };
-        Err(Error::Data(format!("{}: the times of its frames are not known; {what} needs {missing}", self.name)))
+        }
     }
 
     /// Reads the left colour image of a frame.
@@ -213,7 +224,9 @@ fn load_times(folder: &Path, frames: [&FrameFiles; 2], problems: &mut Vec<String
 /// A time a line: the k-th of frame k, or of the k-th frame where a cut drive has as many frames as lines, from a later
 /// one on.
 fn parse_times(text: &str, path: &Path, frames: &FrameFiles, problems: &mut Vec<String>) -> BTreeMap<usize, Time> {
-    let lines: Vec<&str> = text.trim_end().lines().collect();
+    // Remarks are no lines of frames; blank ones are, of those without a time.
+    let numbered = text.trim_end().lines().enumerate().filter(|(_, line)| !line.trim_start().starts_with('#'));
+    let lines: Vec<(usize, &str)> = numbered.collect();
     let cut = frames.len() == lines.len() && frames.last_key_value().is_some_and(|(&last, _)| last >= lines.len());
     if let Some((last, _)) = frames.last_key_value().filter(|(last, _)| !cut && **last >= lines.len()) {
         let found = format!("{} lines", lines.len());
@@ -222,7 +235,7 @@ fn parse_times(text: &str, path: &Path, frames: &FrameFiles, problems: &mut Vec<
     }
     let frame_of: Vec<usize> = if cut { frames.keys().copied().collect() } else { (0..lines.len()).collect() };
     let mut times = BTreeMap::new();
-    for (index, line) in lines.into_iter().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
+    for (index, (number, line)) in lines.into_iter().enumerate().filter(|(_, (_, line))| !line.trim().is_empty()) {
         let line = line.trim();
         match Time::parse_date(line).or_else(|| Time::parse_seconds(line)) {
             Some(time) => {
@@ -230,7 +243,7 @@ fn parse_times(text: &str, path: &Path, frames: &FrameFiles, problems: &mut Vec<
             }
             None => {
                 let expected = "a time like 2011-09-30 12:40:59.409, or seconds";
-                problems.push(Error::malformed(path, Place::Line(index + 1), excerpt(line), expected).to_string());
+                problems.push(Error::malformed(path, Place::Line(number + 1), excerpt(line), expected).to_string());
             }
         }
     }
@@ -244,7 +257,7 @@ mod tests {
     #[test]
     fn the_times_of_a_cut_drive_are_those_of_its_frames() {
         let frames = |range: std::ops::Range<usize>| range.map(|frame| (frame, PathBuf::new())).collect::<FrameFiles>();
-        let text = "2011-09-30 12:40:59.000000001\n\n1317386459.1\nyesterday\n";
+        let text = "# times\n2011-09-30 12:40:59.000000001\n\n1317386459.1\nyesterday\n";
         let read = |frames| {
             let mut problems = Vec::new();
             let times = parse_times(text, Path::new("timestamps.txt"), &frames, &mut problems);
@@ -256,7 +269,7 @@ mod tests {
         assert_eq!(problems[0], "timestamps.txt: found 4 lines; expected a time for each frame to 98");
         assert_eq!(
             problems[1..],
-            ["timestamps.txt, line 4: found `yesterday`; expected a time like 2011-09-30 12:40:59.409, or seconds"]
+            ["timestamps.txt, line 5: found `yesterday`; expected a time like 2011-09-30 12:40:59.409, or seconds"]
         );
     }
 }

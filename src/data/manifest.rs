@@ -233,6 +233,7 @@ impl Manifest {
             oxts_poses: BTreeMap::new(),
             times: sequence.times.clone(),
             problems: Vec::new(),
+            time_problems: Vec::new(),
             listed: Some(sequence.listed.clone()),
         })
     }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
-use super::coverage::Coverage;
+use super::coverage::{Coverage, FrameSpan};
 use super::dataset::{Pair, PairId, PairScope, SplitName};
 use super::drive::Drive;
 use super::manifest::{Manifest, camera_axes_from_vehicle};
@@ -77,7 +77,9 @@ impl<'a> Pairing<'a> {
             let (mut measured, mut with_images) = (0, 0);
             for (&(source, target), measured_pose) in &measurements.relative_poses {
                 let true_motion = truth.motion(source, target);
-                if !wanted_frame(source) || (true_motion.is_none() && self.scope != PairScope::Measured) {
+                // The step from one keyframe to the next must not reach over the cut into another split.
+                let within = wanted.frames.is_none_or(|[_, end]| target <= end);
+                if !(wanted_frame(source) && within) || (true_motion.is_none() && self.scope != PairScope::Measured) {
                     continue;
                 }
                 measured += 1;
@@ -136,8 +138,9 @@ impl<'a> Pairing<'a> {
             depth_pairs,
             measured_pairs,
             measured_with_images,
-            measured_frames: systems.iter().map(Measurements::span).collect(),
-            true_frames: truth.frames().min().zip(truth.frames().max()).map(|(first, last)| [first, last]),
+            measured_frames: systems.iter().map(|system| FrameSpan::of(system.frames())).collect(),
+            true_frames: FrameSpan::of(truth.frames()),
+            image_frames: FrameSpan::of(drive.images.keys().copied()),
             missing_files: systems.iter().map(|system| system.missing_file.clone()).collect(),
         };
         Ok((coverage, pairs))
@@ -156,13 +159,15 @@ impl<'a> Pairing<'a> {
         let limit = self.config.data.max_bad_fraction;
         if drive.problems.len() as f64 > limit * packets as f64 {
             return Err(Error::Data(format!(
-                "{name}: {} of {packets} packets or times are unreadable, more than data.max_bad_fraction = {limit} allows; the first: {}",
+                "{name}: {} of {packets} packets are unreadable, more than data.max_bad_fraction = {limit} allows; the first: {}",
                 drive.problems.len(),
                 drive.problems[0]
             )));
         }
-        if let Some(first) = drive.problems.first() {
-            tracing::warn!("{name}: {} of its packets or times are left out; the first: {first}", drive.problems.len());
+        for (what, problems) in [("packets", &drive.problems), ("times", &drive.time_problems)] {
+            if let Some(first) = problems.first() {
+                tracing::warn!("{name}: {} problems with its {what}; the first: {first}", problems.len());
+            }
         }
         if self.config.model.stereo
             && self.scope != PairScope::Poses

@@ -19,7 +19,7 @@ use crate::config::{Config, DepthConfig};
 use crate::depth::{DepthMap, load_depth};
 use crate::error::{Error, Result};
 use crate::geometry::{Pinhole, Pose, Tangent};
-use crate::model::{EvidenceInput, ImagePair};
+use crate::model::EvidenceInput;
 
 /// A pair ready for the network.
 #[derive(Clone, Debug)]
@@ -83,13 +83,7 @@ pub struct RightImages {
 pub(crate) const SHOWS_NOTHING: &str =
     "by its pose and depth the source image shows nothing of the target; is it source_from_target, in metres?";
 
-/// Whether a model looks at a warp alone, and so at nothing where the source shows nothing of the target; one with evidence
-/// says that there is no verdict.
-pub(crate) fn needs_overlap(pair: ImagePair, evidence: EvidenceInput) -> bool {
-    pair == ImagePair::Warped && evidence != EvidenceInput::Alignment
-}
-
-/// A frame that could not be read, or the source of a pair that is left out.
+/// A frame that could not be read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BadFrame {
     /// Drive name.
@@ -163,7 +157,7 @@ impl PairReader {
             evidence: config.model.evidence,
             frames: Cache::with_weighter((cache_bytes / typical_frame) as usize + 1, cache_bytes, FrameWeighter),
             bad_frames: Mutex::default(),
-            needs_overlap: needs_overlap(config.model.pair, config.model.evidence),
+            needs_overlap: config.model.pair.needs_overlap(config.model.evidence),
             blind_pairs: Mutex::default(),
             systems: dataset.systems.clone(),
             max_bad_frames: max_bad_fraction * frames.len() as f64,
@@ -224,7 +218,7 @@ impl PairReader {
             evidence: None,
         };
         if self.needs_overlap && !sample.shows_target() {
-            self.leave_out(pair);
+            self.blind_lock().insert((pair.system, pair.id));
             return Ok(None);
         }
         if self.evidence == EvidenceInput::Alignment {
@@ -233,34 +227,28 @@ impl PairReader {
         Ok(Some(sample))
     }
 
-    /// The frames that could not be read so far, and the sources of pairs that were left out.
+    /// The frames that could not be read so far.
     pub fn bad_frames(&self) -> Vec<BadFrame> {
         let bad_frame = |(key, problem): (&FrameKey, &String)| {
             let (FrameKey::Image(drive, frame) | FrameKey::RightImage(drive, frame) | FrameKey::Depth(drive, frame)) =
                 *key;
             BadFrame { drive: self.drives[drive].name.clone(), frame, problem: problem.clone() }
         };
-        let mut bad: Vec<BadFrame> = self.bad_frames_lock().iter().map(bad_frame).collect();
-        let blind = self.blind_pairs.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        bad.extend(blind.iter().map(|&(system, id)| BadFrame {
-            drive: self.drives[id.drive].name.clone(),
-            frame: id.source,
-            problem: self.describe_blind(system, id),
-        }));
-        bad
+        self.bad_frames_lock().iter().map(bad_frame).collect()
+    }
+
+    /// The pairs that were left out so far because their source shows nothing of the target, each described.
+    pub fn blind_pairs(&self) -> Vec<String> {
+        self.blind_lock().iter().map(|&(system, id)| self.describe_blind(system, id)).collect()
     }
 
     fn describe_blind(&self, system: usize, id: PairId) -> String {
-        format!("{}, frames {} and {}: {SHOWS_NOTHING}", self.systems[system], id.source, id.target)
+        let drive = &self.drives[id.drive].name;
+        format!("{drive}, {}, frames {} and {}: {SHOWS_NOTHING}", self.systems[system], id.source, id.target)
     }
 
-    /// Remembers a pair whose source shows nothing of the target; the first is said.
-    fn leave_out(&self, pair: &Pair) {
-        let mut blind = self.blind_pairs.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        if blind.is_empty() {
-            tracing::warn!("leaving out a pair: {}", self.describe_blind(pair.system, pair.id));
-        }
-        blind.insert((pair.system, pair.id));
+    fn blind_lock(&self) -> MutexGuard<'_, BTreeSet<(usize, PairId)>> {
+        self.blind_pairs.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
     }
 
     fn image(&self, key: FrameKey) -> Result<Arc<RgbImage>> {

@@ -6,6 +6,7 @@ use nalgebra::Vector3;
 
 use super::DepthMap;
 use crate::error::{Error, Place, Result};
+use crate::files::read_bytes;
 use crate::geometry::{Pinhole, Pose};
 
 /// Bytes of a point: x, y, z, reflectance as little-endian f32.
@@ -16,7 +17,7 @@ const POINT_BYTES: usize = 16;
 /// # Errors
 /// The file cannot be read, its size is no multiple of a point's, or a coordinate is not finite.
 pub fn read_scan(path: &Path) -> Result<Vec<Vector3<f32>>> {
-    let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
+    let bytes = read_bytes(path)?;
     if bytes.len() % POINT_BYTES != 0 || bytes.is_empty() {
         return Err(Error::malformed(
             path,

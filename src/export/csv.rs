@@ -1,11 +1,15 @@
 //! Relative poses as `relcov` itself reads them: `source,target,x,y,z,qx,qy,qz,qw` and 36 values, row by row.
 
 use super::{ExportOptions, MeasuredMotions, Perturbation, join, pose_numbers, rows};
-use crate::systems::{Statement, relative_pose_header};
+use crate::systems::{Side, Statement, relative_pose_header};
 
 pub(super) fn render(measured: &MeasuredMotions, options: &ExportOptions) -> String {
     let side = options.side();
-    let statement = Statement { frame: Some(measured.frame), right: side == Perturbation::Right };
+    let stated = match side {
+        Perturbation::Left => Side::Left,
+        Perturbation::Right => Side::Right,
+    };
+    let statement = Statement { frame: Some(measured.frame), side: stated };
     let mut text = statement.line(options.remark());
     text += &relative_pose_header();
     for motion in &measured.motions {

@@ -5,7 +5,7 @@ use nalgebra::Matrix4;
 use super::{
     Chain, ExportOptions, MeasuredMotions, Perturbation, TrajectoryCovariance, join, on_side, pose_numbers, rows,
 };
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::fusion::FusedTrajectory;
 use crate::geometry::{Covariance6, Pose};
 use crate::time::Time;
@@ -15,11 +15,15 @@ pub(super) fn render_tum(measured: &MeasuredMotions, options: &ExportOptions) ->
     let chain = Chain::of(measured)?;
     let begin = measured.motions[0].times.map(|[source, _]| source);
     let ends = measured.motions.iter().map(|motion| motion.times.map(|[_, target]| target));
-    let times: Option<Vec<Time>> = std::iter::once(begin).chain(ends).collect();
-    let times: Vec<String> = match times {
-        Some(times) => times.iter().map(Time::to_string).collect(),
-        None => chain.frames.iter().map(usize::to_string).collect(),
-    };
+    let times: Vec<Option<Time>> = std::iter::once(begin).chain(ends).collect();
+    if let Some(row) = times.iter().position(Option::is_none).filter(|_| times.iter().any(Option::is_some)) {
+        let (drive, frame) = (&measured.drive, chain.frames[row]);
+        let problem = "has no time, and others have; a TUM trajectory has times for all poses, or frames for all";
+        return Err(Error::Data(format!("{drive}: frame {frame} {problem}")));
+    }
+    let rows = times.iter().zip(&chain.frames);
+    let times: Vec<String> =
+        rows.map(|(time, frame)| time.map_or(frame.to_string(), |time| time.to_string())).collect();
     let side = options.side();
     let what = match options.trajectory {
         TrajectoryCovariance::None => String::new(),

@@ -6,17 +6,21 @@ mod table;
 mod text;
 mod write;
 
+use std::io::Read;
 use std::path::Path;
 
 use sha2::{Digest, Sha256};
 
 use crate::error::{Error, Place, Result};
 
-pub(crate) use names::{extension, fill_template, is_plain, own_name, utf8_name};
+pub(crate) use names::{
+    DEPTH_SLOTS, MEASUREMENT_SLOTS, extension, fill_template, is_plain, own_name, require_apart, require_slots,
+    utf8_name,
+};
 pub(crate) use table::{Form, Header, Row, Table};
-pub(crate) use text::{LARGEST_FRAME, frame_index, parse_numbers, read_text, rows};
+pub(crate) use text::{LARGEST_FRAME, frame_index, parse_numbers, read_text, remarks, rows, without_mark};
 pub(crate) use write::{
-    has_partial, is_partial, put_in_place, remove_partial, require_no_folder, settle, temporary_name, write_atomically,
+    is_partial, put_in_place, remove_partial, require_no_folder, settle, temporary_name, write_atomically,
     write_renamed,
 };
 
@@ -31,9 +35,26 @@ pub(crate) fn sha256_hex(bytes: &[u8]) -> String {
 /// That a file can be opened: libraries that read it by its name say less of why it cannot.
 ///
 /// # Errors
-/// It is not there, or the user may not read it.
+/// It is not there, the user may not read it, or it is a pointer of Git LFS.
 pub(crate) fn require_readable(path: &Path) -> Result<()> {
-    std::fs::File::open(path).map(drop).map_err(Error::io("read", path))
+    let mut head = Vec::new();
+    let file = std::fs::File::open(path).map_err(Error::io("read", path))?;
+    file.take(LFS_POINTER.len() as u64).read_to_end(&mut head).map_err(Error::io("read", path))?;
+    require_fetched(&head, path)
+}
+
+/// How Git LFS begins what stands for a file that was not fetched.
+const LFS_POINTER: &[u8] = b"version https://git-lfs.github.com/spec";
+
+/// That a file is there itself.
+///
+/// # Errors
+/// It is a pointer of Git LFS.
+fn require_fetched(bytes: &[u8], path: &Path) -> Result<()> {
+    match bytes.starts_with(LFS_POINTER) {
+        false => Ok(()),
+        true => Err(Error::malformed(path, Place::Whole, "a pointer of Git LFS", "the file itself: git lfs pull")),
+    }
 }
 
 /// Reads a whole file of bytes: a regular one, and not one so large that it can only be a mistake.
@@ -47,7 +68,8 @@ pub(crate) fn read_bytes(path: &Path) -> Result<Vec<u8>> {
         let expected = format!("a file of at most {} MiB", LARGEST_FILE_BYTES >> 20);
         return Err(Error::malformed(path, Place::Whole, found, expected));
     }
-    std::fs::read(path).map_err(Error::io("read", path))
+    let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
+    require_fetched(&bytes, path).map(|()| bytes)
 }
 
 #[cfg(test)]
@@ -57,5 +79,20 @@ mod tests {
     fn a_device_is_no_file() {
         let message = super::read_bytes("/dev/null".as_ref()).unwrap_err().to_string();
         assert!(message.contains("no regular file"), "{message}");
+    }
+
+    #[test]
+    fn a_pointer_of_git_lfs_is_not_the_file() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n")
+            .unwrap();
+        let [text, bytes, weights] = [
+            super::read_text(file.path()).map(drop),
+            super::read_bytes(file.path()).map(drop),
+            super::require_readable(file.path()),
+        ];
+        for read in [text, bytes, weights] {
+            assert!(read.unwrap_err().to_string().contains("found a pointer of Git LFS; expected the file itself"));
+        }
     }
 }

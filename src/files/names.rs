@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, excerpt};
 
 /// Fit to name a folder and a column.
 pub(crate) fn is_plain(name: &str) -> bool {
@@ -30,6 +30,42 @@ pub(crate) fn utf8_name(path: &Path) -> Result<String> {
     path.to_str().map(str::to_owned).ok_or_else(|| {
         Error::Data(format!("{}: the path is no UTF-8, which configurations cannot hold; rename it", path.display()))
     })
+}
+
+/// Slots of the templates of measurement files, and of depth maps.
+pub(crate) const MEASUREMENT_SLOTS: [&str; 3] = ["{drive}", "{date}", "{sequence}"];
+pub(crate) const DEPTH_SLOTS: [&str; 3] = ["{date}", "{drive}", "{frame}"];
+
+/// That a template has no slots but these: one that is misspelt would be a name.
+///
+/// # Errors
+/// Names the slot and those there are.
+pub(crate) fn require_slots(template: &Path, known: &[&str]) -> Result<(), String> {
+    let text = template.to_string_lossy();
+    for (begin, _) in text.match_indices('{') {
+        let Some(length) = text[begin..].find('}') else { continue };
+        let slot = &text[begin..=begin + length];
+        if !known.contains(&slot) {
+            return Err(format!("unknown slot {}; there are {}", excerpt(slot), known.join(", ")));
+        }
+    }
+    Ok(())
+}
+
+/// That a file that is to be written is none that is read.
+///
+/// # Errors
+/// It is one of them.
+pub(crate) fn require_apart(written: &Path, read: &[&Path]) -> Result<()> {
+    let same = |path: &&&Path| {
+        path.canonicalize().ok().is_some_and(|path| written.canonicalize().is_ok_and(|written| written == path))
+    };
+    match read.iter().find(same) {
+        None => Ok(()),
+        Some(_) => {
+            Err(Error::Data(format!("{}: would be written over what is read; name another file", written.display())))
+        }
+    }
 }
 
 /// A path with the slots of its template filled, such as `{drive}`; all else stays as it is, UTF-8 or not.
@@ -63,6 +99,26 @@ mod tests {
     fn slots_are_filled() {
         let slots = [("{system}", "vo"), ("{drive}", "lab")];
         assert_eq!(fill_template(Path::new("a/{system}/{drive}.csv"), &slots), Path::new("a/vo/lab.csv"));
+    }
+
+    #[test]
+    fn a_misspelt_slot_is_no_name() {
+        assert_eq!(require_slots(Path::new("vo/{drive}/{date}.txt"), &MEASUREMENT_SLOTS), Ok(()));
+        assert_eq!(require_slots(Path::new("a{b.txt"), &MEASUREMENT_SLOTS), Ok(()));
+        let message = require_slots(Path::new("{drive}/{frmae}.png"), &DEPTH_SLOTS).unwrap_err();
+        assert_eq!(message, "unknown slot `{frmae}`; there are {date}, {drive}, {frame}");
+    }
+
+    #[test]
+    fn what_is_read_is_not_written_over() {
+        let folder = tempfile::tempdir().unwrap();
+        let (read, other) = (folder.path().join("vo.csv"), folder.path().join("out.csv"));
+        std::fs::write(&read, "").unwrap();
+        assert!(require_apart(&other, &[&read]).is_ok());
+        let spelt_otherwise = folder.path().join(".").join("vo.csv");
+        assert!(
+            require_apart(&spelt_otherwise, &[&other, &read]).unwrap_err().to_string().contains("name another file")
+        );
     }
 
     #[cfg(unix)]

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use csv::StringRecord;
 
-use super::text::{BYTE_ORDER_MARK, frame_index, is_passed_over};
+use super::text::{frame_index, is_passed_over, remarks, without_mark};
 use crate::error::{Error, Place, Result, excerpt};
 
 /// What a CSV file may hold.
@@ -46,15 +46,17 @@ pub(crate) struct Row<'t> {
 
 impl<'a> Table<'a> {
     /// Reads the header, or finds that there is none: then the first row holds a number, and columns are those of the form.
+    /// A remark that names them, as numpy writes it, is a header too.
     ///
     /// # Errors
     /// Columns are not separated by commas, or one has no name, one that is not known, or that of another.
     pub(crate) fn open(text: &'a str, path: &'a Path, form: &Form<'a>) -> Result<Self> {
-        let text = text.trim_start_matches(BYTE_ORDER_MARK);
+        let text = without_mark(text);
         // A line ends with its line feed, so that lines of Windows files are counted right.
         let reader = csv::ReaderBuilder::new()
             .has_headers(false)
             .flexible(true)
+            .comment(Some(b'#'))
             .terminator(csv::Terminator::Any(b'\n'))
             .trim(csv::Trim::All)
             .from_reader(text.as_bytes());
@@ -72,10 +74,11 @@ impl<'a> Table<'a> {
             return Err(table.header.broken("numbers 0, 1, 2, … for a header", form.described));
         }
         table.pending = is_row && !form.widths.is_empty();
-        if !table.pending {
-            let named: Vec<String> = table.record.iter().map(str::to_owned).collect();
-            table.header.take(named, form)?;
-        }
+        let named: Option<Vec<String>> = match table.pending {
+            true => table.header.take_remark(text, form),
+            false => Some(table.record.iter().map(str::to_owned).collect()),
+        };
+        named.map_or(Ok(()), |named| table.header.take(named, form))?;
         Ok(table)
     }
 
@@ -120,10 +123,10 @@ impl<'a> Table<'a> {
         }
     }
 
-    /// The line of the last record. Its position is that before the blank lines that were passed over.
+    /// The line of the last record. Its position is that before the lines that were passed over.
     fn line(&self) -> usize {
         let Some(position) = self.record.position() else { return 1 };
-        let skipped = self.text[position.byte() as usize..].lines().take_while(|line| line.trim().is_empty()).count();
+        let skipped = self.text[position.byte() as usize..].lines().take_while(|line| is_passed_over(line)).count();
         position.line() as usize + skipped
     }
 }
@@ -138,6 +141,18 @@ impl Header<'_> {
             Some((_, marks)) => Err(self.broken(format!("columns separated by {marks}"), "commas")),
             None => Ok(()),
         }
+    }
+
+    /// The names in a remark before the first row, if most of its cells are names of columns.
+    fn take_remark(&mut self, text: &str, form: &Form) -> Option<Vec<String>> {
+        remarks(text).find_map(|(place, remark)| {
+            let cells: Vec<&str> = remark.trim_start_matches('#').split(',').map(str::trim).collect();
+            let known = cells.iter().filter(|cell| form.columns.contains(cell)).count();
+            (cells.len() > 2 && 2 * known > cells.len()).then(|| {
+                self.place = place;
+                cells.into_iter().map(str::to_owned).collect()
+            })
+        })
     }
 
     /// Takes the names that a file gives its columns.
@@ -318,6 +333,9 @@ mod tests {
             read("\n \n# a \"remark\n  # another, indented\n\nframe,x\n# more\n\n4,1.5\n", &FORM).unwrap(),
             [(9, 4, 1.5)]
         );
+        // As numpy.savetxt writes its header.
+        assert_eq!(read("# x, frame, y\n1.5,4,0\n", &FORM).unwrap(), [(2, 4, 1.5)]);
+        assert_eq!(read("# of Monday, x, y\n4,1.5,0\n# he said, \"so\n5,1.5,0\n", &FORM).unwrap().len(), 2);
         assert_eq!(read("", &FORM).unwrap(), []);
     }
 
@@ -328,6 +346,7 @@ mod tests {
             ("frame,x\n\n4,\n", "line 3: found nothing in column `x`"),
             (",1,0\n", "line 1: found nothing in column `frame`"),
             ("4,1\n", "line 1: found 2 cells; expected 3 or 4: frame,x,y and std"),
+            ("# x, frame, lat\n1.5,4,0\n", "line 1: found an unknown column `lat`"),
             ("0,1,2\n4,1,0\n", "line 1: found numbers 0, 1, 2, … for a header"),
             ("frame,x\n4, \"1.5\"\n", "line 2: found `x` = `\"1.5\"`"),
             ("frame,x\n4,1,2\n", "line 2: found 3 cells; expected 2: "),

@@ -2,13 +2,14 @@
 
 use std::path::Path;
 
+use super::require_fetched;
 use crate::error::{Error, Place, Result, excerpt};
 
 /// Frame indices above this are taken for mistakes.
 pub(crate) const LARGEST_FRAME: usize = 1_000_000_000;
 
 /// What some editors put before the first character of a file.
-pub(super) const BYTE_ORDER_MARK: char = '\u{feff}';
+const BYTE_ORDER_MARK: char = '\u{feff}';
 
 /// How files in other encodings begin; the longer ones first.
 const OTHER_ENCODINGS: [(&[u8], &str); 4] = [
@@ -29,6 +30,7 @@ pub(crate) fn read_text(path: &Path) -> Result<String> {
 fn decode(bytes: Vec<u8>, path: &Path) -> Result<String> {
     let refused =
         |place, found: &str| Error::malformed(path, place, found, "text in UTF-8; save or convert it as that");
+    require_fetched(&bytes, path)?;
     if let Some((_, name)) = OTHER_ENCODINGS.iter().find(|(begin, _)| bytes.starts_with(begin)) {
         return Err(refused(Place::Whole, name));
     }
@@ -45,16 +47,27 @@ fn decode(bytes: Vec<u8>, path: &Path) -> Result<String> {
     if text.contains('\r') {
         text = text.replace("\r\n", "\n").replace('\r', "\n");
     }
-    match text.strip_prefix(BYTE_ORDER_MARK) {
-        Some(rest) => Ok(rest.to_owned()),
-        None => Ok(text),
+    match text.starts_with(BYTE_ORDER_MARK) {
+        true => Ok(without_mark(&text).to_owned()),
+        false => Ok(text),
     }
+}
+
+/// A text without the mark that some editors put before it.
+pub(crate) fn without_mark(text: &str) -> &str {
+    text.trim_start_matches(BYTE_ORDER_MARK)
 }
 
 /// The lines of a text that hold something, with their places; blank ones and remarks (`#`) are passed over.
 pub(crate) fn rows(text: &str) -> impl Iterator<Item = (Place, &str)> {
-    let lines = text.trim_start_matches(BYTE_ORDER_MARK).lines().enumerate();
+    let lines = without_mark(text).lines().enumerate();
     lines.filter(|(_, line)| !is_passed_over(line)).map(|(index, line)| (Place::Line(index + 1), line))
+}
+
+/// The remarks before the first row of a text, with their places.
+pub(crate) fn remarks(text: &str) -> impl Iterator<Item = (Place, &str)> {
+    let lines = without_mark(text).lines().enumerate().take_while(|(_, line)| is_passed_over(line));
+    lines.map(|(index, line)| (Place::Line(index + 1), line.trim())).filter(|(_, line)| !line.is_empty())
 }
 
 /// Whether a line is blank or a remark.

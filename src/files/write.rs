@@ -4,6 +4,7 @@
 use std::ffi::{OsStr, OsString};
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use tempfile::NamedTempFile;
 
@@ -26,20 +27,18 @@ pub(crate) fn is_partial(name: &OsStr) -> bool {
     hidden.ends_with(PARTIAL) || (hidden.contains(PARTIAL) && hidden.ends_with(".tmp")) || earlier
 }
 
-/// Whether writers left something in a folder, or are at work there.
-pub(crate) fn has_partial(folder: &Path) -> bool {
-    let entries = std::fs::read_dir(folder).into_iter().flatten();
-    entries.filter_map(Result::ok).any(|entry| is_partial(&entry.file_name()))
-}
-
-/// Removes what killed writers left in a folder that nobody else writes into.
+/// Removes what writers left in a folder that were killed at least so long ago: zero where nobody else writes there.
 ///
 /// # Errors
 /// The folder cannot be listed, or something cannot be removed.
-pub(crate) fn remove_partial(folder: &Path) -> Result<()> {
+pub(crate) fn remove_partial(folder: &Path, least_age: Duration) -> Result<()> {
+    let is_old = |path: &Path| {
+        let age = path.metadata().and_then(|metadata| metadata.modified()).ok().and_then(|time| time.elapsed().ok());
+        least_age.is_zero() || age.is_some_and(|age| age >= least_age)
+    };
     let entries = std::fs::read_dir(folder).map_err(Error::io("list", folder))?;
     for path in entries.filter_map(|entry| Some(entry.ok()?.path())) {
-        if path.file_name().is_some_and(is_partial) {
+        if path.file_name().is_some_and(is_partial) && is_old(&path) {
             let removed = if path.is_dir() { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) };
             removed.map_err(Error::io("remove", &path))?;
         }
@@ -186,7 +185,12 @@ mod tests {
         std::fs::create_dir(folder.path().join(temporary_name("state-1"))).unwrap();
         let kept = [".gitignore", ".tmp", "model.partial", "tmpAbC123", ".tmp-notes"];
         kept.iter().for_each(|name| std::fs::write(folder.path().join(name), "").unwrap());
-        remove_partial(folder.path()).unwrap();
-        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), kept.len());
+        let count = || std::fs::read_dir(folder.path()).unwrap().count();
+        let all = count();
+        // Somebody may still be at work on them.
+        remove_partial(folder.path(), Duration::from_secs(60)).unwrap();
+        assert_eq!(count(), all);
+        remove_partial(folder.path(), Duration::ZERO).unwrap();
+        assert_eq!(count(), kept.len());
     }
 }

@@ -79,7 +79,8 @@ impl Residual1 for PositionResidual {
 ///
 /// # Errors
 /// There is no motion; a covariance is not positive definite; frames hang together by no motion; the fixes do not place
-/// the trajectory in the world, or say how it is turned there only to more than half a radian; one is of a frame that no motion reaches; or the solver does not converge.
+/// the trajectory in the world, or leave more than half a radian of its rotation open; one is of a
+/// frame that no motion reaches; or the solver does not converge.
 pub fn fuse(odometry: &[Odometry], fixes: &[Fix]) -> Result<FusedTrajectory> {
     let local = chain(odometry)?;
     let number: BTreeMap<usize, u32> = local.keys().enumerate().map(|(index, &frame)| (frame, index as u32)).collect();
@@ -211,7 +212,7 @@ fn require_turned(local: &Trajectory, world_from_local: &Pose, fixes: &[Fix]) ->
     match std_rad <= LEAST_KNOWN_RAD {
         true => Ok(()),
         false => Err(Error::Data(format!(
-            "the fixes lie so near to a line that the rotation about it is known to {std_rad:.1e} rad; give positions farther from it, or a fix with an attitude"
+            "by the fixes' own deviations the trajectory's rotation is known to {std_rad:.1e} rad only: positions near a line leave it open; give others, or a fix with an attitude"
         ))),
     }
 }
@@ -330,7 +331,7 @@ mod tests {
         let fixes = |std: f64| [0, 2, 4].map(|frame| position(frame, &truth[&frame], std)).to_vec();
         let odometry = [odometry("vo", &truth, 0.02, &[])];
         let message = fuse(&odometry, &fixes(0.5)).unwrap_err().to_string();
-        assert!(message.contains("the rotation about it is known to"), "{message}");
+        assert!(message.contains("rotation is known to"), "{message}");
         // Known to micrometres they say it; and so does one attitude.
         assert!(fuse(&odometry, &fixes(1e-5)).is_ok());
         let attitude = Some((truth[&0].rotation, Vector3::repeat(0.01)));

@@ -18,8 +18,11 @@ pub enum CovarianceError {
     #[error("entry ({0}, {1}) is not finite")]
     NotFinite(usize, usize),
     /// Two mirrored entries differ by more than rounding.
-    #[error("entries ({0}, {1}) and ({1}, {0}) differ by {2:.1e} of sqrt(c{0}{0} c{1}{1})")]
+    #[error("entries ({0}, {1}) and ({1}, {0}) differ by {2:.1e}")]
     NotSymmetric(usize, usize, f64),
+    /// A component has negative variance.
+    #[error("the variance ({0}, {0}) is {1:.1e}")]
+    NegativeDiagonal(usize, f64),
     /// A direction has negative variance.
     #[error("smallest eigenvalue {0:.1e} of the correlations is negative")]
     NegativeVariance(f64),
@@ -36,8 +39,12 @@ impl CovarianceError {
     pub fn remedy(self) -> &'static str {
         match self {
             Self::NotFinite(..) => "finite numbers",
-            Self::NotSymmetric(..) => "a symmetric matrix, to 1e-5; write 0.5 (C + Cᵀ) if that is meant",
-            Self::NegativeVariance(_) => "a covariance: no direction with a negative variance",
+            Self::NotSymmetric(..) => {
+                "mirrored entries equal to 1e-5 of sqrt(c_ii c_jj); write 0.5 (C + Cᵀ) if that is meant"
+            }
+            Self::NegativeDiagonal(..) | Self::NegativeVariance(_) => {
+                "a covariance: no direction with a negative variance"
+            }
         }
     }
 }
@@ -58,10 +65,13 @@ impl Covariance6 {
             let difference = (matrix[(row, column)] - matrix[(column, row)]).abs();
             let unit = (matrix[(row, row)] * matrix[(column, column)]).abs().sqrt();
             if difference > (SYMMETRY_TOLERANCE * unit).max(1e-9 * scale) {
-                return Err(CovarianceError::NotSymmetric(row, column, difference / unit));
+                return Err(CovarianceError::NotSymmetric(row, column, difference));
             }
         }
         let symmetrised = symmetric(&matrix);
+        if let Some(negative) = (0..6).find(|&component| symmetrised[(component, component)] < 0.0) {
+            return Err(CovarianceError::NegativeDiagonal(negative, symmetrised[(negative, negative)]));
+        }
         // Of correlations, so that metres do not hide what is wrong with radians.
         let units = symmetrised.diagonal().map(|variance| if variance > 0.0 { variance.sqrt() } else { scale.sqrt() });
         let correlations = Matrix6::from_fn(|row, column| symmetrised[(row, column)] / (units[row] * units[column]));
@@ -239,6 +249,13 @@ mod tests {
         assert_eq!(Covariance6::from_matrix(matrix), Err(CovarianceError::NotSymmetric(0, 1, 0.5)));
         matrix[(1, 0)] = f64::NAN;
         assert_eq!(Covariance6::from_matrix(matrix), Err(CovarianceError::NotFinite(1, 0)));
-        assert!(matches!(Covariance6::from_matrix(-Matrix6::identity()), Err(CovarianceError::NegativeVariance(_))));
+        assert_eq!(Covariance6::from_matrix(-Matrix6::identity()), Err(CovarianceError::NegativeDiagonal(0, -1.0)));
+        // Metres do not hide what is wrong with radians.
+        let variances = Vector6::new(1.0, 1.0, 4.0, 1e-6, 1e-6, -1e-6);
+        let negative = Covariance6::from_matrix(Matrix6::from_diagonal(&variances));
+        assert_eq!(negative, Err(CovarianceError::NegativeDiagonal(5, -1e-6)));
+        let mut indefinite = Matrix6::from_diagonal(&variances.abs());
+        (indefinite[(3, 4)], indefinite[(4, 3)]) = (2e-6, 2e-6);
+        assert!(matches!(Covariance6::from_matrix(indefinite), Err(CovarianceError::NegativeVariance(_))));
     }
 }

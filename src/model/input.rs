@@ -26,6 +26,14 @@ pub enum ImagePair {
     Raw,
 }
 
+impl ImagePair {
+    /// Whether nothing is to be seen where the source shows nothing of the target: of a warp alone. With evidence there is
+    /// no verdict instead.
+    pub(crate) fn needs_overlap(self, evidence: EvidenceInput) -> bool {
+        self == Self::Warped && evidence == EvidenceInput::Off
+    }
+}
+
 /// What the network sees of target and source image: the same information in two bases.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]

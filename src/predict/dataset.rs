@@ -34,6 +34,10 @@ impl Model {
         let images = self.architecture.images();
         let predictions =
             predict_split(&self.network, &reader, split, images, &config.training, &self.device, progress)?;
+        let blind = reader.blind_pairs();
+        if let Some(first) = blind.first() {
+            tracing::warn!("{} pairs are left out; the first: {first}", blind.len());
+        }
         let mut groups: BTreeMap<(usize, usize), Vec<MeasuredMotion>> = BTreeMap::new();
         for prediction in &predictions {
             let Prediction { pair, system, motion, .. } = prediction;

@@ -3,6 +3,7 @@
 //! ([`Model::predict_measurements`]).
 
 mod dataset;
+mod identity;
 mod request;
 mod stream;
 
@@ -14,9 +15,7 @@ use rayon::prelude::*;
 
 use crate::alignment::Evidence;
 use crate::config::{Config, DepthConfig};
-use crate::data::{
-    PairNumbers, PairSample, RgbImage, RightImages, SHOWS_NOTHING, camera_axes_from_vehicle, needs_overlap,
-};
+use crate::data::{PairNumbers, PairSample, RgbImage, RightImages, SHOWS_NOTHING, camera_axes_from_vehicle};
 use crate::depth::{DepthMap, EXPECTED_ASPECT, LiveDepth};
 use crate::error::{Error, Result};
 use crate::evaluation::{Recalibration, read_values};
@@ -309,7 +308,7 @@ impl Model {
         let Measurement { source_image, target_image, target_depth, camera, source_from_target, right, .. } =
             measurement;
         let with_evidence = self.has_evidence();
-        let must_show = needs_overlap(self.architecture.pair, self.architecture.evidence);
+        let must_show = self.architecture.pair.needs_overlap(self.architecture.evidence);
         let right = right.as_ref().filter(|_| self.architecture.stereo);
         if self.architecture.stereo && right.is_none() {
             return Err(Error::Data(

@@ -7,18 +7,17 @@ use std::path::{Path, PathBuf};
 use base64::Engine;
 use nalgebra::{Matrix3, Vector3};
 use serde::de::{self, IgnoredAny, MapAccess, SeqAccess, Visitor};
-use serde::{Deserialize, Deserializer, Serialize};
-use serde_json::value::RawValue;
+use serde::{Deserialize, Deserializer};
 
+use super::identity::Id;
 use crate::error::{Error, Place, Result, excerpt};
 use crate::geometry::Pose;
 use crate::systems::pose_from_quaternion;
 
 /// Largest `|RᵀR − I|` of a rotation.
 const ROTATION_TOLERANCE: f64 = 1e-3;
-/// Longest translation, m, and longest text that identifies a request, bytes.
+/// Longest translation, m.
 const LARGEST_M: f64 = 1e6;
-const LONGEST_ID: usize = 1024;
 /// Numbers of a 4x4 matrix: no list is longer.
 const MOST_NUMBERS: usize = 16;
 
@@ -50,80 +49,6 @@ pub(super) enum PoseFrame {
     Vehicle,
 }
 
-/// What comes back with the answer, digit by digit as it was sent: `null`, a number, or a text of bounded length.
-#[derive(Clone, Default, Serialize)]
-#[serde(transparent)]
-pub(super) struct Id(Option<Box<RawValue>>);
-
-impl<'de> Deserialize<'de> for Id {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let raw = Box::<RawValue>::deserialize(deserializer)?;
-        let text = raw.get();
-        let length = text.trim_matches('"').len();
-        match text.as_bytes().first() {
-            Some(b'n') => Ok(Self(None)),
-            Some(b'"' | b'-' | b'0'..=b'9') if length <= LONGEST_ID => Ok(Self(Some(raw))),
-            Some(b'"' | b'-' | b'0'..=b'9') => {
-                Err(de::Error::custom(format!("an id of {length} bytes; at most {LONGEST_ID} come back")))
-            }
-            _ => Err(de::Error::custom("found a list, an object or a truth for an id: a number, or text, comes back")),
-        }
-    }
-}
-
-/// Whose request a line is, as far as it can be told of one that is no request.
-pub(super) fn identity(line: &str) -> Id {
-    struct IdentityVisitor<'a>(&'a mut Id);
-    impl<'de> Visitor<'de> for IdentityVisitor<'_> {
-        type Value = ();
-        fn expecting(&self, formatter: &mut fmt::Formatter) -> fmt::Result {
-            formatter.write_str("an object with an id")
-        }
-        fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<(), A::Error> {
-            while let Some(key) = map.next_key::<String>()? {
-                match key == "id" {
-                    true => *self.0 = map.next_value()?,
-                    false => drop(map.next_value::<IgnoredAny>()?),
-                }
-            }
-            Ok(())
-        }
-    }
-    let mut id = Id::default();
-    let mut read = |line: &str| {
-        let mut json = serde_json::Deserializer::from_str(line);
-        // What is wrong stands behind the id, or there is none.
-        let _ = json.deserialize_map(IdentityVisitor(&mut id));
-    };
-    let (with_nulls, _) = replace_no_numbers(line);
-    read(&with_nulls);
-    id
-}
-
-/// What programs write for numbers that JSON does not have; the longer ones first.
-const NO_NUMBERS: [&str; 5] = ["-Infinity", "Infinity", "NaN", "-inf", "nan"];
-
-/// A line with `null` for words that stand for numbers and are none in JSON, and the first of them.
-pub(super) fn replace_no_numbers(line: &str) -> (String, Option<&'static str>) {
-    let (mut replaced, mut first) = (String::with_capacity(line.len()), None);
-    let (mut in_text, mut escaped) = (false, false);
-    let mut rest = line;
-    while let Some(c) = rest.chars().next() {
-        if c == '"' && !escaped {
-            in_text = !in_text;
-        }
-        escaped = c == '\\' && !escaped;
-        let word = NO_NUMBERS.into_iter().find(|word| !in_text && rest.starts_with(word));
-        match word {
-            Some(_) => replaced.push_str("null"),
-            None => replaced.push(c),
-        }
-        first = first.or(word);
-        rest = &rest[word.map_or(c.len_utf8(), str::len)..];
-    }
-    (replaced, first)
-}
-
 /// A file, or what would stand in it, base64.
 pub(super) enum Content {
     File(PathBuf),
@@ -139,6 +64,11 @@ impl Content {
         from_bytes: impl FnOnce(&[u8], &Path) -> Result<T>,
     ) -> Result<T> {
         match self {
+            Self::File(path) if !path.exists() => {
+                let found = excerpt(&path.to_string_lossy());
+                let expected = "a file, or {\"base64\": \"…\"}";
+                Err(Error::Data(format!("field `{field}`: found no file {found}; expected {expected}")))
+            }
             Self::File(path) => from_file(path),
             Self::Base64(text) => {
                 let encoded = encoded_part(text).ok_or_else(|| {

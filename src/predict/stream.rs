@@ -2,13 +2,15 @@
 
 use serde::Serialize;
 
-use super::request::{Id, PoseFrame, Request, identity, replace_no_numbers};
+use super::identity::{Id, identity, replace_no_numbers};
+use super::request::{PoseFrame, Request};
 use super::{Measurement, Model, RightView};
 use crate::config::DepthConfig;
 use crate::data::{decode_image, read_image};
 use crate::depth::{LiveDepth, decode_depth_png, read_depth_png};
-use crate::error::{Error, Result, shortened};
+use crate::error::{Error, Result, excerpt, shortened};
 use crate::export::{JsonJudgement, JsonPose, MeasuredMotion, Perturbation, Poses};
+use crate::files::without_mark;
 use crate::geometry::{ErrorFrame, Pinhole, Pose};
 
 /// How a stream answers.
@@ -37,14 +39,14 @@ pub struct StreamSettings {
 ///
 /// | field | meaning |
 /// |---|---|
-/// | `source_image`, `target_image` | PNG or JPEG: a path, or an object with its `base64`; rectified, of one size |
+/// | `source_image`, `target_image` | PNG or JPEG: a path, a data URL, or an object with its `base64`; rectified, of one size, pixels as stored |
 /// | `intrinsics` | fx, fy, cx, cy at that size, px, pixel centres at integer coordinates |
 /// | `pose` | measured `ⁱT̂ᵢ₊₁`: 7 numbers `x y z qx qy qz qw`, or 12 or 16 of a matrix, row by row, nested or not; m |
 /// | `pose_frame` | `camera` (default) or `vehicle`: whose motion that is |
 /// | `camera_from_vehicle` | a pose in the same form; default: as on the drives that a model with evidence was trained on; of others the vehicle is where the camera is, x forward, z up |
-/// | `depth` | of the target, 16-bit PNG, metres x 256: a path or `base64`; default: what the run's own source makes |
+/// | `depth` | of the target and of its aspect, 16-bit PNG, metres x 256: a path or `base64`; default: what the run's own source makes |
 /// | `right_source_image`, `right_target_image`, `right_from_left` | for stereo models |
-/// | `id` | text or a number; comes back with the answer |
+/// | `id` | text or a number; comes back with the answer, as it was sent |
 ///
 /// The answer has `id`, and `covariance` (6 x 6), `std_devs`, `order`, `frame` and `perturbation`, or `error`. A model
 /// with evidence adds its `verdict`, `ok` or the name of the `reason` why the images say nothing of the error; one with a
@@ -114,7 +116,7 @@ impl<'a> Stream<'a> {
 
     /// The answer to a request, without a line end. What is wrong with the request is its answer.
     pub fn answer(&self, request: &str) -> String {
-        let request = request.trim_start_matches('\u{feff}');
+        let request = without_mark(request);
         let parsed = serde_json::from_str::<Request>(request);
         let id = match &parsed {
             Ok(parsed) => parsed.id.clone(),
@@ -211,7 +213,9 @@ impl<'a> Stream<'a> {
 /// Why a line is no request; not longer than a reader wants it, whatever stands in it.
 fn no_request(line: &str, error: &serde_json::Error) -> String {
     match replace_no_numbers(line) {
-        (_, Some(word)) => format!("no request: {word} is no JSON number; send finite ones, or leave the pair out"),
+        (_, Some(word)) => {
+            format!("no request: {} is no JSON number; send finite ones, or leave the pair out", excerpt(word))
+        }
         (_, None) => format!("no request: {} (docs/predict.md lists the fields)", shortened(&error.to_string())),
     }
 }

@@ -4,6 +4,7 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
 
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
@@ -164,7 +165,7 @@ impl Studio<'_> {
             }
             let folder = self.folders.drive.join(sensor);
             create_folder(&folder.join("data"))?;
-            remove_partial(&folder.join("data"))?;
+            remove_partial(&folder.join("data"), Duration::ZERO)?;
             let times = timestamps(self.settings.frames);
             write_renamed(&folder.join("timestamps.txt"), times.as_bytes())?;
             if sensor == "velodyne_points" {

@@ -1,21 +1,24 @@
 //! Measured relative poses of a drive, from whatever source a configuration names.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use super::frames::{Joined, frames_of_rows};
 use super::relative::{Statement, parse_relative_poses};
 use super::sequences::odometry_sequence;
 use super::trajectory::{KittiPoses, Trajectory, parse_kitti_poses, parse_tum_trajectory};
-use super::truth::{Truth, motions_of};
+use super::truth::{Steps, Truth, motions_of};
 use crate::config::{MeasurementFrame, SystemConfig, SystemSource, TrajectoryConfig, TrajectoryFormat};
-use crate::data::Drive;
+use crate::data::{Drive, Motions};
 use crate::error::{Error, Place, Result};
 use crate::files::{fill_template, read_text};
 use crate::geometry::{Covariance6, ErrorFrame, Pose};
 
 /// Largest distance in time between a TUM row and the frame it belongs to, s: a fifth of KITTI's period.
 const TUM_TOLERANCE_S: f64 = 0.02;
+
+/// Longer steps of a trajectory, in units of its median, are gaps.
+const MOST_STEPS: usize = 10;
 
 /// The number of a drive's odometry sequence, in templates of paths.
 const SEQUENCE: &str = "{sequence}";
@@ -34,10 +37,9 @@ pub struct Measurements {
 }
 
 impl Measurements {
-    /// The first and last frame that they reach.
-    pub fn span(&self) -> Option<[usize; 2]> {
-        let last = self.relative_poses.keys().map(|&(_, target)| target).max()?;
-        self.relative_poses.first_key_value().map(|(&(first, _), _)| [first, last])
+    /// The frames that they reach.
+    pub fn frames(&self) -> BTreeSet<usize> {
+        self.relative_poses.keys().flat_map(|&(source, target)| [source, target]).collect()
     }
 }
 
@@ -57,9 +59,13 @@ pub fn load_measurements(system: &SystemConfig, drive: &Drive, root: &Path, trut
     Ok(match &system.source {
         // True here; the data set draws their errors.
         SystemSource::Truth {} | SystemSource::Perturbation(_) => found(MeasurementFrame::Vehicle, truth.motions()),
-        SystemSource::Oxts {} => found(MeasurementFrame::Vehicle, motions_of(&drive.oxts_poses)),
+        SystemSource::Oxts {} => found(MeasurementFrame::Vehicle, motions_of(&drive.oxts_poses, Steps::Consecutive)),
         SystemSource::Trajectory(config) => match load_trajectory(config, drive, root)? {
-            Some(trajectory) => found(config.frame, motions_of(&trajectory)),
+            Some(trajectory) => {
+                let motions = motions_of(&trajectory, Steps::Keyframes);
+                warn_of_long_steps(&motions, &expand(&config.path, drive, root));
+                found(config.frame, motions)
+            }
             None => missing(config.frame, expand(&config.path, drive, root)),
         },
         SystemSource::Manifest { frame } => {
@@ -92,6 +98,18 @@ pub fn load_measurements(system: &SystemConfig, drive: &Drive, root: &Path, trut
     })
 }
 
+/// Says that a trajectory has a gap that is no keyframe's: many times as long as its usual step.
+fn warn_of_long_steps(motions: &Motions, path: &Path) {
+    let mut steps: Vec<usize> = motions.keys().map(|(source, target)| target - source).collect();
+    steps.sort_unstable();
+    let longest = motions.keys().max_by_key(|(source, target)| target - source);
+    let (Some(&usual), Some(&(source, target))) = (steps.get(steps.len() / 2), longest) else { return };
+    if target - source > MOST_STEPS * usual {
+        let path = path.display();
+        tracing::warn!("{path}: no pose between frames {source} and {target}, which is taken for one motion");
+    }
+}
+
 /// That a file which states its axes is read in them.
 fn require_frame(text: &str, frame: MeasurementFrame, path: &Path) -> Result<()> {
     let expected = match frame {
@@ -99,7 +117,7 @@ fn require_frame(text: &str, frame: MeasurementFrame, path: &Path) -> Result<()>
         MeasurementFrame::Camera2 => Some(ErrorFrame::Camera),
         MeasurementFrame::Vehicle => Some(ErrorFrame::Vehicle),
     };
-    match Statement::of(text).frame.filter(|stated| Some(*stated) != expected) {
+    match Statement::of(text, path)?.frame.filter(|stated| Some(*stated) != expected) {
         None => Ok(()),
         Some(stated) => Err(Error::malformed(
             path,
@@ -123,13 +141,16 @@ pub(super) fn load_trajectory(config: &TrajectoryConfig, drive: &Drive, root: &P
         TrajectoryFormat::Kitti => match parse_kitti_poses(&text, &path)? {
             KittiPoses::Framed(trajectory) => trajectory,
             KittiPoses::Rows(poses) => {
-                let joined = Joined {
-                    whose: &drive.name,
-                    sequence: odometry_sequence(drive.short_name()),
-                    is_sequence: config.path.to_string_lossy().contains(SEQUENCE),
-                    sets: [drive.images.keys().copied().collect(), drive.oxts_poses.keys().copied().collect()],
+                let sequence = odometry_sequence(drive.short_name());
+                let is_sequence = config.path.to_string_lossy().contains(SEQUENCE);
+                let frames = match sequence.filter(|_| is_sequence) {
+                    Some(cut) => (cut.first_frame..).take(poses.len()).collect(),
+                    None => {
+                        let sets = [drive.images.keys().copied().collect(), drive.oxts_poses.keys().copied().collect()];
+                        frames_of_rows(poses.len(), &path, &Joined { whose: &drive.name, sequence, sets: &sets })?
+                    }
                 };
-                frames_of_rows(poses.len(), &path, &joined)?.into_iter().zip(poses).collect()
+                frames.into_iter().zip(poses).collect()
             }
         },
         TrajectoryFormat::Tum => {

@@ -21,7 +21,7 @@ pub use mixing::{BatchPlan, Mixer, PlannedPair};
 pub use perturbation::Perturbation;
 pub(crate) use perturbation::standard_normal;
 pub use relative::{RelativePose, format_relative_pose, parse_relative_poses, relative_pose_header};
-pub(crate) use relative::{Statement, parse_bare_relative_poses};
+pub(crate) use relative::{Side, Statement, parse_bare_relative_poses};
 pub use sequences::{OdometrySequence, odometry_sequence};
 pub(crate) use trajectory::{KittiPoses, parse_kitti_poses, pose_from_quaternion};
 pub use trajectory::{Trajectory, parse_kitti_trajectory, parse_tum_trajectory};

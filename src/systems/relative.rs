@@ -5,8 +5,8 @@ use std::path::Path;
 use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 
 use super::trajectory::pose_from_quaternion;
-use crate::error::{Error, Place, Result};
-use crate::files::{Form, Table};
+use crate::error::{Error, Place, Result, excerpt};
+use crate::files::{Form, Table, remarks};
 use crate::geometry::{Covariance6, ErrorFrame, Pose};
 
 /// Columns of frames and pose.
@@ -32,32 +32,53 @@ pub struct RelativePose {
 pub(crate) struct Statement {
     /// Axes of poses and covariances.
     pub(crate) frame: Option<ErrorFrame>,
-    /// Whether covariances are those of the right perturbation.
-    pub(crate) right: bool,
+    /// Side of covariances.
+    pub(crate) side: Side,
+}
+
+/// The side on which errors stand.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum Side {
+    #[default]
+    Left,
+    Right,
 }
 
 impl Statement {
     /// The line that says it, with a remark behind it.
     pub(crate) fn line(self, remark: &str) -> String {
         let frame = self.frame.map_or(String::new(), |frame| format!("frame {}, ", frame.name()));
-        let side = if self.right { "right" } else { "left" };
+        let side = if self.side == Side::Right { "right" } else { "left" };
         format!("# {frame}perturbation {side}, order x y z roll pitch yaw, m and rad{remark}\n")
     }
 
-    /// What the remarks before a file's first row say. One that does not have the form of relcov's own is a remark.
-    pub(crate) fn of(text: &str) -> Self {
-        let lines = text.trim_start_matches('\u{feff}').lines().map(str::trim);
-        let remarks = lines.take_while(|line| line.is_empty() || line.starts_with('#'));
-        remarks.filter_map(Self::parse).next().unwrap_or_default()
+    /// What the remarks before a file's first row say; one that does not have the form of relcov's own says nothing.
+    ///
+    /// # Errors
+    /// One nearly has it: axes that are not known, or a side that stands elsewhere.
+    pub(crate) fn of(text: &str, path: &Path) -> Result<Self> {
+        for (place, remark) in remarks(text) {
+            let unclear = || {
+                let expected = "`# frame vehicle, perturbation right` with vehicle, camera or world, left or right";
+                Error::malformed(path, place.clone(), excerpt(remark), expected)
+            };
+            match Self::parse(remark.trim_start_matches('#')) {
+                Some(said) => return Ok(said),
+                None if remark.to_ascii_lowercase().contains("perturbation right") => return Err(unclear()),
+                None => {}
+            }
+        }
+        Ok(Self::default())
     }
 
-    /// A line that begins with nothing but a statement; further ones may follow a comma.
-    fn parse(line: &str) -> Option<Self> {
+    /// A remark that begins with nothing but a statement; further ones may follow a comma.
+    fn parse(remark: &str) -> Option<Self> {
         let mut said = Self::default();
-        for (index, part) in line.strip_prefix('#')?.split(',').map(str::trim).enumerate() {
+        for (index, part) in remark.split(',').map(str::trim).enumerate() {
             match (part.split_once(' '), index) {
                 (Some(("frame", axes)), _) if ErrorFrame::of(axes).is_some() => said.frame = ErrorFrame::of(axes),
-                (Some(("perturbation", side @ ("left" | "right"))), _) => said.right = side == "right",
+                (Some(("perturbation", "left")), _) => said.side = Side::Left,
+                (Some(("perturbation", "right")), _) => said.side = Side::Right,
                 (_, 0) => return None,
                 _ => {}
             }
@@ -101,7 +122,7 @@ fn parse(text: &str, path: &Path, covariances: Stated) -> Result<Vec<RelativePos
     let mut table = Table::open(text, path, &Form { columns: &columns, widths: &widths, described })?;
     let places = table.header.require(&POSE_COLUMNS)?;
     let entries = table.header.group(&entries)?.unwrap_or_default();
-    let Statement { right, .. } = Statement::of(text);
+    let Statement { side, .. } = Statement::of(text, path)?;
     let mut poses: Vec<RelativePose> = Vec::new();
     while let Some(row) = table.next()? {
         let (source, target) = (row.frame(places[0])?, row.frame(places[1])?);
@@ -125,9 +146,9 @@ fn parse(text: &str, path: &Path, covariances: Stated) -> Result<Vec<RelativePos
             Covariance6::from_matrix(Matrix6::from_row_slice(&entries))
                 .map_err(|error| row.broken(error.to_string(), error.remedy()))
         });
-        let covariance = covariance.transpose()?.map(|covariance| match right {
-            true => covariance.left_of(&source_from_target),
-            false => covariance,
+        let covariance = covariance.transpose()?.map(|covariance| match side {
+            Side::Right => covariance.left_of(&source_from_target),
+            Side::Left => covariance,
         });
         poses.push(RelativePose { source, target, source_from_target, covariance });
     }
@@ -215,20 +236,21 @@ mod tests {
 
     #[test]
     fn a_remark_is_a_remark() {
-        for (text, frame, right) in [
-            ("# frame rate 10 Hz\n", None, false),
-            ("# the frame camera, perturbation right\n# frame vehicle\n", Some(ErrorFrame::Vehicle), false),
-            (
-                "\u{feff}\n# frame camera, perturbation right, order x y z roll pitch yaw\n",
-                Some(ErrorFrame::Camera),
-                true,
-            ),
-            ("# perturbation right\n", None, true),
-            ("source,target\n# frame camera\n", None, false),
+        let read = |text: &str| Statement::of(text, Path::new("relative.csv"));
+        for (text, frame, side) in [
+            ("# frame rate 10 Hz\n", None, Side::Left),
+            ("# the frame camera, as told\n# frame vehicle\n", Some(ErrorFrame::Vehicle), Side::Left),
+            ("\u{feff}\n# frame camera, perturbation right, m\n", Some(ErrorFrame::Camera), Side::Right),
+            ("# perturbation right\n", None, Side::Right),
+            ("source,target\n# frame camera\n", None, Side::Left),
         ] {
-            assert_eq!(Statement::of(text), Statement { frame, right }, "{text}");
+            assert_eq!(read(text).unwrap(), Statement { frame, side }, "{text}");
         }
-        let statement = Statement { frame: Some(ErrorFrame::World), right: true };
-        assert_eq!(Statement::of(&statement.line(", corrected")), statement);
+        for text in ["# frame camera0, perturbation right\n", "\n# covariances: Perturbation Right\n"] {
+            let message = read(text).unwrap_err().to_string();
+            assert!(message.contains("expected `# frame vehicle, perturbation right`"), "{message}");
+        }
+        let statement = Statement { frame: Some(ErrorFrame::World), side: Side::Right };
+        assert_eq!(read(&statement.line(", corrected")).unwrap(), statement);
     }
 }

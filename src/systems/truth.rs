@@ -79,10 +79,10 @@ impl Truth {
         Some(poses)
     }
 
-    /// Motions between neighbouring poses, or all that are listed.
+    /// Motions between neighbouring frames, or all that are listed.
     pub fn motions(&self) -> Motions {
         match self {
-            Self::Poses(poses) => motions_of(poses),
+            Self::Poses(poses) => motions_of(poses, Steps::Consecutive),
             Self::Motions(motions) => motions.clone(),
         }
     }
@@ -102,12 +102,23 @@ impl Truth {
     }
 }
 
-/// Motions between neighbouring poses, whatever frames lie between those of keyframes.
-pub(super) fn motions_of(trajectory: &Trajectory) -> Motions {
+/// Which poses of a trajectory make motions.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Steps {
+    /// Those of neighbouring frames: where one is missing, nothing is known.
+    Consecutive,
+    /// Each and the next, however many frames lie between: what a system measured between its keyframes.
+    Keyframes,
+}
+
+/// Motions between poses.
+pub(super) fn motions_of(trajectory: &Trajectory, steps: Steps) -> Motions {
+    let pairs = trajectory.iter().zip(trajectory.iter().skip(1));
+    let wanted = pairs.filter(|((source, _), (target, _))| steps == Steps::Keyframes || **source + 1 == **target);
     let motion = |((&source, world_from_source), (&target, world_from_target)): ((&usize, &Pose), (&usize, &Pose))| {
         ((source, target), world_from_source.inverse() * *world_from_target)
     };
-    trajectory.iter().zip(trajectory.iter().skip(1)).map(motion).collect()
+    wanted.map(motion).collect()
 }
 
 #[cfg(test)]
@@ -118,10 +129,12 @@ mod tests {
     #[test]
     fn motions_of_keyframes_are_those_between_them() {
         let forward = |frame: usize| Pose::exp(&Tangent::new(frame as f64, 0.0, 0.0, 0.0, 0.0, 0.0));
-        let motions = motions_of(&[0, 1, 3, 6, 9].map(|frame| (frame, forward(frame))).into());
+        let trajectory = [0, 1, 3, 6, 9].map(|frame| (frame, forward(frame))).into();
+        let motions = motions_of(&trajectory, Steps::Keyframes);
         let expected: Motions = [(0, 1), (1, 3), (3, 6), (6, 9)]
             .map(|(source, target)| ((source, target), forward(target - source)))
             .into();
         assert_eq!(motions, expected);
+        assert_eq!(motions_of(&trajectory, Steps::Consecutive).into_keys().collect::<Vec<_>>(), [(0, 1)]);
     }
 }

@@ -147,6 +147,11 @@ impl Learner {
         bad_frames
     }
 
+    /// Pairs that were left out so far because their source shows nothing of the target, each described.
+    pub fn blind_pairs(&self) -> Vec<String> {
+        [&self.reader, &self.watched_reader].iter().flat_map(|reader| reader.blind_pairs()).collect()
+    }
+
     /// Mini-batches in an epoch.
     pub fn batches_per_epoch(&self) -> usize {
         let once = self.dataset.train.systems[0].len().div_ceil(self.config.pairs_per_batch()[0]);
@@ -262,11 +267,10 @@ impl Learner {
         let systems = self.config.systems.len();
         let share = self.config.training.corrected_share;
         if mean_loss(&predictions, watched_system(&self.config), share).is_none() {
-            let first = self.watched_reader.bad_frames().swap_remove(0);
-            return Err(Error::Data(format!(
-                "not one watched pair can be read; {} frame {}: {}",
-                first.drive, first.frame, first.problem
-            )));
+            let unreadable = self.watched_reader.bad_frames().into_iter();
+            let described = unreadable.map(|bad| format!("{} frame {}: {}", bad.drive, bad.frame, bad.problem));
+            let first = described.chain(self.watched_reader.blind_pairs()).next().unwrap_or_default();
+            return Err(Error::Data(format!("not one watched pair can be used; {first}")));
         }
         let losses = (0..systems).map(|system| mean_loss(&predictions, system, share)).collect();
         self.history.finish_epoch(losses, at_floor);

@@ -9,6 +9,7 @@ mod divergence;
 mod events;
 mod history;
 mod learner;
+mod lock;
 mod manifest;
 mod run_folder;
 mod saved_state;

@@ -13,20 +13,19 @@
 //!
 //! Everything is written under a temporary name and renamed: whatever bears its final name is whole.
 
-use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 use burn::store::{ModuleSnapshot, SafetensorsStore};
 use burn::tensor::Device;
 
+use super::lock::Lock;
 use super::manifest::{LAYOUT, Manifest};
 use crate::config::Config;
 use crate::error::{Error, Place, Result, shortened};
 use crate::evaluation::Recalibration;
-use crate::files::{
-    has_partial, put_in_place, read_text, remove_partial, require_readable, temporary_name, write_atomically,
-};
+use crate::files::{put_in_place, read_text, remove_partial, require_readable, temporary_name, write_atomically};
 use crate::geometry::Conventions;
 use crate::model::{Architecture, CovarianceModel};
 
@@ -36,8 +35,8 @@ pub(super) const METRICS: &str = "metrics.csv";
 /// The losses of a run as a picture.
 pub const LOSSES: &str = "losses.svg";
 const MODEL: &str = "model.safetensors";
-/// Held by the process that trains in the folder.
-const LOCK: &str = ".lock";
+/// What is not whole after that time never will be.
+const LONGEST_SAVE: Duration = Duration::from_secs(600);
 /// What an evaluation leaves in the folder: its scores.
 pub const EVALUATION: &str = "evaluation.json";
 /// The measurements behind it.
@@ -54,28 +53,6 @@ pub struct RunFolder {
     path: PathBuf,
     /// Held as long as this process writes a run.
     lock: Option<Arc<Lock>>,
-}
-
-/// That a folder is being written. The operating system lets go of it when its process ends, however it does.
-#[derive(Debug)]
-struct Lock {
-    path: PathBuf,
-    _held: File,
-}
-
-impl Lock {
-    fn take(folder: &Path) -> Result<Self, TryLockError> {
-        let path = folder.join(LOCK);
-        let file = File::create(&path).map_err(TryLockError::Error)?;
-        file.try_lock()?;
-        Ok(Self { path, _held: file })
-    }
-}
-
-impl Drop for Lock {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_file(&self.path);
-    }
 }
 
 impl RunFolder {
@@ -108,16 +85,8 @@ impl RunFolder {
     /// # Errors
     /// Somebody holds it, or what was left cannot be removed.
     pub fn owned(mut self) -> Result<Self> {
-        self.lock = match Lock::take(&self.path) {
-            Ok(lock) => Some(Arc::new(lock)),
-            Err(TryLockError::WouldBlock) => {
-                let problem = "is being trained already; wait for that or stop it, or choose another --set name=…";
-                return Err(Error::run(&self.path, problem));
-            }
-            // A file system without locks.
-            Err(TryLockError::Error(_)) => None,
-        };
-        remove_partial(&self.path)?;
+        self.lock = Lock::take(&self.path)?.map(Arc::new);
+        remove_partial(&self.path, Duration::ZERO)?;
         Ok(self)
     }
 
@@ -131,7 +100,10 @@ impl RunFolder {
         }
         std::fs::create_dir_all(path).map_err(Error::io("create the folder", path))?;
         let run = Self::at(path).owned()?;
-        if run.is_taken()? {
+        if !replace {
+            // Somebody may have trained there meanwhile.
+            Self::require_free(path)?;
+        } else if run.is_taken()? {
             run.clear()?;
         }
         Ok(run)
@@ -152,12 +124,8 @@ impl RunFolder {
             ));
         }
         let run = Self::at(path);
-        // Where nobody trains, what is not whole will never be. Where it cannot be removed, it does no harm.
-        if has_partial(path)
-            && let Ok(_lock) = Lock::take(path)
-        {
-            let _ = remove_partial(path);
-        }
+        // Where it cannot be removed, it does no harm.
+        let _ = remove_partial(path, LONGEST_SAVE);
         Ok(run)
     }
 

@@ -11,7 +11,7 @@ use crate::cli::progress::note;
 use crate::cli::{Terminal, print_result};
 use crate::error::{Error, Result};
 use crate::export::fused_trajectory;
-use crate::files::{read_text, write_atomically};
+use crate::files::{read_text, require_apart, write_atomically};
 use crate::fusion::{Odometry, SimulatedFixes, TrajectoryScores, fuse, parse_fixes};
 use crate::geometry::{Covariance6, ErrorFrame, Tangent};
 use crate::report::{FusionRow, fusion_table};
@@ -31,6 +31,11 @@ pub(super) fn fuse_files(arguments: &FuseArguments, terminal: &Terminal) -> anyh
         if constants.insert(name.clone(), covariance).is_some() {
             return Err(Error::Data(format!("--constant {name} is given twice")).into());
         }
+    }
+    if let Some(out) = &arguments.out {
+        let odometry = arguments.odometry.iter().filter_map(|text| Some(Path::new(text.split_once('=')?.1)));
+        let others = [&arguments.truth, &arguments.fixes].into_iter().filter_map(|path| path.as_deref());
+        require_apart(out, &odometry.chain(others).collect::<Vec<_>>())?;
     }
     let read = arguments.odometry.iter().map(|text| read_odometry(text, &constants)).collect::<Result<Vec<_>>>()?;
     let frames: Vec<ErrorFrame> = read.iter().filter_map(|(_, frame)| *frame).collect();
@@ -121,7 +126,7 @@ fn read_odometry(text: &str, constants: &BTreeMap<String, Covariance6>) -> Resul
         )));
     }
     let odometry = Odometry { system: name.to_owned(), motions };
-    Ok((odometry, Statement::of(&text).frame))
+    Ok((odometry, Statement::of(&text, path)?.frame))
 }
 
 /// True poses of the frames that the odometry reaches; a file that does not say its frames has a row for each.
@@ -130,7 +135,7 @@ fn read_truth(path: &Path, odometry: &[Odometry]) -> Result<Trajectory> {
         KittiPoses::Framed(trajectory) => return Ok(trajectory),
         KittiPoses::Rows(poses) => poses,
     };
-    let reached = reached_frames(odometry).into_iter().collect();
-    let joined = Joined { whose: "the odometry", sequence: None, is_sequence: false, sets: [reached, Vec::new()] };
+    let reached = [reached_frames(odometry).into_iter().collect()];
+    let joined = Joined { whose: "the odometry", sequence: None, sets: &reached };
     Ok(frames_of_rows(poses.len(), path, &joined)?.into_iter().zip(poses).collect())
 }

@@ -15,7 +15,8 @@ use crate::files::extension;
 pub(super) fn of_drive(arguments: &PredictArguments, config: Config, drive: &Path) -> anyhow::Result<Config> {
     let path = arguments.measurements.as_deref().expect("clap requires it");
     if !path.is_file() {
-        return Err(Error::Data(format!("--measurements {}: no such file", path.display())).into());
+        let problem = if path.exists() { "no regular file" } else { "no such file" };
+        return Err(Error::Data(format!("--measurements {}: {problem}", path.display())).into());
     }
     let (root, name) = drive_below_root(drive)?;
     let path = std::path::absolute(path).map_err(Error::io("read", path))?;

@@ -9,7 +9,10 @@ use crate::cli::progress::note;
 use crate::cli::{Terminal, print_result};
 use crate::error::Error;
 use crate::export::{Format, MeasuredMotions};
-use crate::files::{fill_template, require_no_folder, write_atomically};
+use crate::files::{fill_template, require_apart, require_no_folder, require_slots, write_atomically};
+
+/// What stands for names in `--out`.
+const SLOTS: [&str; 2] = ["{system}", "{drive}"];
 
 /// Where predictions go.
 pub(super) struct Sink<'a> {
@@ -23,6 +26,9 @@ impl<'a> Sink<'a> {
         trajectories: impl Iterator<Item = (&'b str, &'b str)>,
     ) -> anyhow::Result<Self> {
         let sink = Self { arguments };
+        if let Some(out) = &arguments.out {
+            require_slots(out, &SLOTS).map_err(|problem| Error::Data(format!("--out {}: {problem}", out.display())))?;
+        }
         let mut owners: BTreeMap<Option<PathBuf>, usize> = BTreeMap::new();
         trajectories.for_each(|(system, drive)| *owners.entry(sink.path(system, drive)).or_default() += 1);
         let format = arguments.format;
@@ -34,7 +40,14 @@ impl<'a> Sink<'a> {
             ))
             .into());
         }
-        owners.keys().flatten().try_for_each(|path| require_no_folder(path))?;
+        let read: Vec<&Path> = [&arguments.measurements, &arguments.manifest, &arguments.config]
+            .into_iter()
+            .filter_map(|path| path.as_deref())
+            .collect();
+        owners.keys().flatten().try_for_each(|path| {
+            require_no_folder(path)?;
+            require_apart(path, &read)
+        })?;
         // A folder that bears no name of the data can be made before the work.
         let out = arguments.out.as_deref().filter(|out| out.parent().is_some_and(|folder| !is_template(folder)));
         out.map_or(Ok(()), make_folder)?;
