@@ -117,12 +117,11 @@ pub struct DriveConfig {
 }
 
 /// The true poses.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "source", rename_all = "snake_case", deny_unknown_fields)]
 pub enum TruthConfig {
     /// The drive's GNSS/INS packets (the paper's choice; default).
-    #[default]
-    Oxts,
+    Oxts {},
     /// A trajectory file for each drive.
     Trajectory(TrajectoryConfig),
     /// The columns `true_x` … `true_qw` of the pairs manifest.
@@ -131,6 +130,12 @@ pub enum TruthConfig {
         #[serde(default = "camera_of_the_manifest")]
         frame: MeasurementFrame,
     },
+}
+
+impl Default for TruthConfig {
+    fn default() -> Self {
+        Self::Oxts {}
+    }
 }
 
 /// A system of relative-pose measurements.

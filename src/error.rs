@@ -33,7 +33,7 @@ pub enum Error {
         expected: String,
     },
     /// A configuration value cannot be used.
-    #[error("configuration: `{key}`: {problem}")]
+    #[error("configuration: {}: {}", excerpt(key), lines_shortened(problem))]
     Config {
         /// Dotted key.
         key: String,
@@ -41,10 +41,10 @@ pub enum Error {
         problem: String,
     },
     /// The data a configuration asks for do not suffice.
-    #[error("{0}")]
+    #[error("{}", lines_shortened(_0))]
     Data(String),
     /// A device cannot be used.
-    #[error("device `{name}`: {problem}")]
+    #[error("device {}: {problem}", excerpt(name))]
     Device {
         /// As given by the user.
         name: String,
@@ -123,7 +123,7 @@ fn shown(path: &Path) -> String {
 }
 
 /// Most characters of a line of what was found, whoever wrote it.
-const LONGEST_LINE: usize = 160;
+const LONGEST_LINE: usize = 320;
 
 /// What was found, its lines not longer than a reader wants them.
 fn lines_shortened(found: &str) -> String {
@@ -134,11 +134,14 @@ fn lines_shortened(found: &str) -> String {
     escaped(&found.lines().map(short).collect::<Vec<_>>().join("\n"))
 }
 
-/// A text whose control characters (but line breaks) a terminal shows instead of obeying them.
-fn escaped(text: &dyn fmt::Display) -> String {
+/// A text whose control characters (but line breaks), and those that turn the direction of what follows, a terminal shows
+/// instead of obeying them.
+pub(crate) fn escaped(text: &dyn fmt::Display) -> String {
     let text = text.to_string();
-    let shown = |c: char| if c.is_control() && c != '\n' { c.escape_default().to_string() } else { c.to_string() };
-    if text.chars().any(char::is_control) { text.chars().map(shown).collect() } else { text }
+    let turns = |c: char| matches!(c, '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+    let obeyed = |c: char| c.is_control() && c != '\n' || turns(c);
+    let shown = |c: char| if obeyed(c) { c.escape_default().to_string() } else { c.to_string() };
+    if text.chars().any(obeyed) { text.chars().map(shown).collect() } else { text }
 }
 
 impl Error {

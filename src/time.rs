@@ -10,7 +10,7 @@ const DIGITS: i32 = 9;
 const MOST_DIGITS: usize = 37;
 
 /// What times of texts look like, for messages.
-pub(crate) const EXPECTED_SECONDS: &str = "seconds, at most 9.2e9; nanoseconds? divide them by 1e9";
+pub(crate) const EXPECTED_SECONDS: &str = "seconds, at most 9.2e9; milli-, micro- or nanoseconds are to be divided";
 
 /// A moment: nanoseconds since 1970 (UTC), or since whatever a recording counts from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]

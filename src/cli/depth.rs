@@ -7,6 +7,7 @@ use anyhow::Context;
 use clap::Args;
 use comfy_table::{CellAlignment, Table, presets};
 
+use super::output::require_png;
 use super::progress::{Progress, note};
 use super::{Overrides, Terminal, print_result, synth};
 use crate::config::{Config, DepthConfig};
@@ -47,13 +48,14 @@ pub struct DepthArguments {
     #[arg(long, value_name = "PNG", requires = "compare")]
     contact_sheet: Option<PathBuf>,
     /// Judge against depth files (16-bit PNG, metres x 256) in place of scans: a path below data.root with {date}, {drive}, {frame}
-    #[arg(long, value_name = "PATH", requires = "evaluate")]
+    #[arg(long, value_name = "PATH", requires = "evaluate", conflicts_with_all = ["force", "compare"])]
     truth: Option<String>,
     #[command(flatten)]
     overrides: Overrides,
 }
 
 pub fn run(arguments: &DepthArguments, terminal: &Terminal) -> anyhow::Result<()> {
+    arguments.contact_sheet.as_deref().map_or(Ok(()), require_png)?;
     let config = arguments.overrides.load(&arguments.config)?;
     if arguments.evaluate {
         return evaluate(&config, arguments.truth.as_deref(), terminal);

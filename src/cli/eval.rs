@@ -17,7 +17,7 @@ use crate::evaluation::{
     Baselines, Method, Origin, PairTable, Prediction, Recalibration, evaluate_table, perturbation_response,
     predict_split, read_pairs, write_pairs,
 };
-use crate::files::own_name;
+use crate::files::{own_name, require_apart};
 use crate::geometry::{Conventions, ErrorFrame};
 use crate::model::CovarianceModel;
 use crate::report::figures::write_figures;
@@ -58,16 +58,16 @@ pub struct EvalArguments {
     #[arg(long, value_name = "FILE", conflicts_with = "pairs")]
     config: Option<PathBuf>,
     /// With --pairs: errors to fit the baselines to, in the same form
-    #[arg(long, value_name = "FILE", requires = "pairs")]
+    #[arg(long, value_name = "FILE", requires = "pairs", conflicts_with_all = ["run", "baselines_only"])]
     fit: Option<PathBuf>,
     /// With --pairs: the axes of its errors and covariances
-    #[arg(long, value_enum, requires = "pairs")]
+    #[arg(long, value_enum, requires = "pairs", conflicts_with_all = ["run", "baselines_only"])]
     error_frame: Option<FrameArgument>,
     /// Which pairs
     #[arg(long, value_enum, default_value = "test", conflicts_with = "pairs")]
     split: SplitArgument,
     /// Fit the factors that make variances right to the validation split again, and keep them in the run
-    #[arg(long, requires = "run", conflicts_with = "config")]
+    #[arg(long, requires = "run", conflicts_with_all = ["config", "pairs", "baselines_only"])]
     recalibrate: bool,
     #[command(flatten)]
     output: OutputArguments,
@@ -77,6 +77,10 @@ pub struct EvalArguments {
 
 pub fn run(arguments: EvalArguments, terminal: &Terminal) -> anyhow::Result<()> {
     arguments.output.check(1)?;
+    if let (Some(pairs), Some(fit)) = (&arguments.pairs, &arguments.fit) {
+        let problem = "--fit: baselines that are fitted to what they are judged on win anything; give other errors";
+        require_apart(fit, &[pairs]).map_err(|_| Error::Data(problem.to_owned()))?;
+    }
     let read: Vec<&Path> =
         [&arguments.pairs, &arguments.fit, &arguments.config].into_iter().filter_map(|path| path.as_deref()).collect();
     arguments.output.require_apart(&read)?;

@@ -49,10 +49,10 @@ pub struct FuseArguments {
     #[arg(long, value_name = "NAME=FILE")]
     odometry: Vec<String>,
     /// Give a system of --odometry one covariance: six standard deviations, m and rad
-    #[arg(long, value_name = "NAME=X,Y,Z,ROLL,PITCH,YAW", requires = "odometry")]
+    #[arg(long, value_name = "NAME=X,Y,Z,ROLL,PITCH,YAW", requires = "odometry", conflicts_with_all = ["run", "baselines_only"])]
     constant: Vec<String>,
     /// With --odometry: true poses to score against, KITTI rows of 12, or 13 with the frame
-    #[arg(long, value_name = "FILE", requires = "odometry")]
+    #[arg(long, value_name = "FILE", requires = "odometry", conflicts_with_all = ["run", "baselines_only"])]
     truth: Option<PathBuf>,
     /// Predict the covariances by a trained model; repeatable: each system takes the first run that learned it
     #[arg(long, value_name = "RUN")]
@@ -76,7 +76,7 @@ pub struct FuseArguments {
     #[arg(long, value_name = "N,STD", value_parser = parse_simulated, conflicts_with = "fixes")]
     simulate_fixes: Option<(usize, f64)>,
     /// Seed of simulated fixes
-    #[arg(long, default_value_t = 0, requires = "simulate_fixes")]
+    #[arg(long, default_value_t = 0, requires = "simulate_fixes", conflicts_with = "fixes")]
     seed: u64,
     /// Fuse so many times, with other simulated fixes each time, and score all of them
     #[arg(long, default_value_t = 1, requires = "simulate_fixes", conflicts_with = "odometry", value_parser = clap::value_parser!(u64).range(1..10_000))]
@@ -142,6 +142,10 @@ fn fuse_drives(arguments: &FuseArguments, terminal: &Terminal) -> anyhow::Result
     note(terminal.quiet, &format!("fusing {}", names.join(" + ")));
 
     let drives: Vec<usize> = drives_of(&measured.dataset, &systems);
+    if let Some(fixes) = arguments.fixes.as_deref().filter(|_| drives.len() > 1) {
+        let problem = "one file of fixes for several drives; name it by {drive}";
+        anyhow::ensure!(fixes.to_string_lossy().contains("{drive}"), "--fixes {}: {problem}", fixes.display());
+    }
     let mut progress = Progress::new(terminal.quiet, "fusing", 0, drives.len() * methods.len());
     let (mut scored, mut drawn, mut trajectories) = (Vec::new(), Vec::new(), Vec::new());
     for drive in drives {

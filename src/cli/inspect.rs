@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use comfy_table::{CellAlignment, Table, presets};
 
+use super::output::require_png;
 use super::print_result;
 use crate::config::{Config, DepthConfig};
 use crate::data::{Coverage, Dataset, Pair, PairId, PairReader, PairSample, PairScope, SplitName};
@@ -44,6 +45,7 @@ pub struct InspectArguments {
 }
 
 pub fn run(arguments: &InspectArguments) -> anyhow::Result<()> {
+    arguments.contact_sheet.as_deref().map_or(Ok(()), require_png)?;
     let config = Config::load(&arguments.config, &arguments.set)?;
     if let Some(settings) = config.data.synthetic.as_ref().filter(|settings| !is_rendered(&config.data.root, settings))
     {
@@ -225,5 +227,10 @@ fn problems(dataset: &Dataset) -> Vec<String> {
         let empty = counts.filter(|((measured, missing), _)| **measured == 0 && missing.is_none());
         empty.map(move |(_, system)| format!("{}: `{system}` measured no pair with true poses", name(coverage)))
     });
-    missing.chain(unreadable).chain(empty).chain(unmeasured).collect()
+    let absent = dataset.drives.iter().filter(|drive| drive.listed.is_some()).filter_map(|drive| {
+        let absent: Vec<_> = drive.images.values().filter(|path| !path.is_file()).collect();
+        let first = absent.first()?.display();
+        Some(format!("{}: {} of its images are not there, the first: {first}", drive.name, absent.len()))
+    });
+    missing.chain(absent).chain(unreadable).chain(empty).chain(unmeasured).collect()
 }

@@ -135,7 +135,16 @@ impl Overrides {
     }
 
     /// The configuration of a run, for data that will take the place of its own.
+    ///
+    /// # Errors
+    /// A key is set that those data replace.
     fn load_for_other_data(&self, run: &RunFolder, manifest: &Manifest) -> Result<Config, Error> {
+        let key = |text: &str| text.split('=').next().unwrap_or_default().trim().to_owned();
+        let counts = |key: &String| KEYS_FOR_OTHER_DATA.iter().any(|prefix| key.starts_with(prefix));
+        if let Some(key) = self.set.iter().map(|text| key(text)).find(|key| !counts(key)) {
+            let problem = "changes nothing about --drive, --manifest or --stream; leave it out";
+            return Err(Error::config(key, problem));
+        }
         let mut config = Config::load_for_other_data(&run.config_path(), &self.set)?;
         if let Some(device) = &self.device {
             config.device.clone_from(device);
@@ -143,6 +152,22 @@ impl Overrides {
         fit_to_run(config, manifest)
     }
 }
+
+/// Keys of a run's configuration that count where other data take the place of its own: how depth is made, and how it is
+/// read and predicted.
+const KEYS_FOR_OTHER_DATA: [&str; 11] = [
+    "depth",
+    "device",
+    "data.camera_from_vehicle",
+    "data.max_bad_fraction",
+    "data.cache_mb",
+    "training.batch",
+    "training.micro_batch",
+    "training.loader_threads",
+    "training.prefetch",
+    "model",
+    "checkpoints",
+];
 
 /// Gives a configuration the shape of a trained model.
 fn fit_to_run(mut config: Config, manifest: &Manifest) -> Result<Config, Error> {

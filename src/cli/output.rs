@@ -110,6 +110,17 @@ impl OutputArguments {
     }
 }
 
+/// That a picture is called one, and so is no other file of the user's.
+///
+/// # Errors
+/// It is not.
+pub fn require_png(path: &Path) -> Result<()> {
+    match extension(path).as_str() {
+        "png" => Ok(()),
+        _ => Err(Error::Data(format!("--contact-sheet {}: the file's name must end in .png", path.display()))),
+    }
+}
+
 /// Makes the folder of a file that is yet to be written.
 pub fn make_folder(path: &Path) -> Result<()> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));

@@ -49,10 +49,10 @@ pub struct PredictArguments {
     #[arg(long, value_name = "FOLDER", requires = "measurements")]
     drive: Option<PathBuf>,
     /// With --drive: its measured poses
-    #[arg(long, value_name = "FILE", requires = "drive")]
+    #[arg(long, value_name = "FILE", requires = "drive", conflicts_with_all = ["manifest", "config", "stream"])]
     measurements: Option<PathBuf>,
     /// With --drive: form of that file [default: relative for .csv, tum for .tum, else kitti]
-    #[arg(long, value_enum, requires = "drive", value_name = "FORM")]
+    #[arg(long, value_enum, requires = "drive", value_name = "FORM", conflicts_with_all = ["manifest", "config", "stream"])]
     measurement_format: Option<MeasurementFormat>,
     /// Whose motion the measurements describe [default: camera0 of a drive, camera2 of a manifest]
     #[arg(long, value_enum, value_name = "BODY", conflicts_with_all = ["config", "stream"])]
@@ -61,7 +61,7 @@ pub struct PredictArguments {
     #[arg(long, value_name = "FILE")]
     manifest: Option<PathBuf>,
     /// With --manifest: vehicle axes into those of the camera [default: the run's, else the vehicle is where the camera is]
-    #[arg(long, value_name = "X,Y,Z,QX,QY,QZ,QW", value_parser = parse_pose, requires = "manifest", allow_hyphen_values = true)]
+    #[arg(long, value_name = "X,Y,Z,QX,QY,QZ,QW", value_parser = parse_pose, requires = "manifest", allow_hyphen_values = true, conflicts_with_all = ["drive", "config", "stream"])]
     camera_from_vehicle: Option<PoseNumbers>,
     /// The data of another configuration
     #[arg(long, value_name = "FILE")]
@@ -251,12 +251,14 @@ fn warn_of_missing_times(format: Format, predicted: &[MeasuredMotions], dataset:
 
 /// Which measurements got no covariance, and why.
 fn describe_gaps(dataset: &Dataset, split: &Split, predicted: usize) -> String {
-    let of_split = dataset.coverage.iter().filter(|coverage| coverage.split == split.name);
-    let measured: usize = of_split.flat_map(|coverage| &coverage.measured_pairs).sum();
+    let of_split = || dataset.coverage.iter().filter(|coverage| coverage.split == split.name);
+    let measured: usize = of_split().flat_map(|coverage| &coverage.measured_pairs).sum();
     // Of training drives some pairs may be held out, which lack nothing.
     let lacking = if split.name == SplitName::Test { measured.saturating_sub(split.pairs.len()) } else { 0 };
-    let gaps =
-        [(split.pairs.len() - predicted, "could not be used, as said above"), (lacking, "have no images or no depth")];
+    let missing = of_split().find_map(|coverage| coverage.missing_depth.as_ref());
+    let missing = missing.map_or(String::new(), |path| format!(" (not found: {}, …)", path.display()));
+    let unusable = (split.pairs.len() - predicted, "could not be used, as said above".to_owned());
+    let gaps = [unusable, (lacking, format!("have no images or no depth{missing}"))];
     gaps.iter().filter(|(pairs, _)| *pairs > 0).map(|(pairs, why)| format!("; {pairs} {why}")).collect()
 }
 

@@ -6,6 +6,8 @@ use std::time::{Duration, Instant};
 
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 
+use crate::error::escaped;
+
 /// Time between two plain lines.
 const LINE_EVERY: Duration = Duration::from_secs(30);
 
@@ -35,7 +37,7 @@ impl Write for LogWriter {
 pub fn note(quiet: bool, text: &str) {
     if !quiet {
         bars().suspend(|| {
-            let _ = writeln!(io::stderr(), "{text}");
+            let _ = writeln!(io::stderr(), "{}", escaped(&text));
         });
     }
 }

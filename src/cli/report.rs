@@ -10,6 +10,7 @@ use super::progress::note;
 use crate::error::Result;
 use crate::files::{require_apart, write_atomically};
 use crate::report::{Comparison, Entry, html_page};
+use crate::training::RunFolder;
 
 /// Arguments of `relcov report`.
 #[derive(Args)]
@@ -35,7 +36,9 @@ pub struct ReportArguments {
 pub fn run(arguments: &ReportArguments, terminal: &Terminal) -> anyhow::Result<()> {
     arguments.output.check(arguments.results.len())?;
     let measurements: Vec<PathBuf> = arguments.results.iter().map(|path| path.with_extension("csv")).collect();
-    let read: Vec<&Path> = arguments.results.iter().chain(&measurements).map(PathBuf::as_path).collect();
+    let runs: Vec<PathBuf> = arguments.results.iter().flat_map(|path| RunFolder::at(path).files()).collect();
+    let results = arguments.results.iter().chain(&measurements).chain(&runs);
+    let read: Vec<&Path> = results.map(PathBuf::as_path).collect();
     arguments.output.require_apart(&read)?;
     arguments.html.as_deref().map_or(Ok(()), |html| require_apart(html, &read))?;
     arguments.html.as_deref().map(make_folder).transpose()?;

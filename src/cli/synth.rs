@@ -59,7 +59,7 @@ pub struct SynthArguments {
     #[arg(long, value_name = "N", default_value_t = SyntheticSettings::default().vo_landmarks)]
     vo_landmarks: usize,
     /// Override a key of the configuration; repeatable
-    #[arg(long = "set", value_name = "KEY=VALUE", requires = "config")]
+    #[arg(long = "set", value_name = "KEY=VALUE", requires = "config", conflicts_with = "out")]
     set: Vec<String>,
     /// Replace the synthetic data set that is there
     #[arg(long)]

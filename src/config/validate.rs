@@ -1,5 +1,6 @@
 //! What a configuration must satisfy beyond its types.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use super::{
@@ -175,8 +176,14 @@ impl Config {
 
     /// Paths with slots, such as `{drive}`.
     fn validate_templates(&self) -> Result<()> {
+        let DataConfig { train, validation, test, .. } = &self.data;
+        let drives: BTreeSet<&str> =
+            [train, validation, test].into_iter().flatten().map(|config| &*config.drive).collect();
         let check = |path: &Path, slots: &[&str], key: &str| {
-            require_slots(path, slots).map_err(|problem| Error::config(key, problem))
+            require_slots(path, slots).map_err(|problem| Error::config(key, problem))?;
+            let text = path.to_string_lossy();
+            let distinct = drives.len() < 2 || text.contains("{drive}") || text.contains("{sequence}");
+            require(distinct, key, || format!("is one file for {} drives; name it by {{drive}}", drives.len()))
         };
         for (index, system) in self.systems.iter().enumerate() {
             let path = match &system.source {
@@ -191,6 +198,9 @@ impl Config {
         }
         if let DepthConfig::Files { path } = &self.depth {
             check(Path::new(path), &DEPTH_SLOTS, "depth.path")?;
+            require(path.contains("{frame}"), "depth.path", || {
+                "is one map for all frames; name it by {frame}".to_owned()
+            })?;
         }
         Ok(())
     }

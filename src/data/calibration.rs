@@ -15,6 +15,9 @@ use crate::geometry::{ErrorFrame, Pinhole, Pose};
 /// Largest `|RᵀR − I|` of a rotation printed with KITTI's seven digits.
 const ROTATION_TOLERANCE: f64 = 1e-4;
 
+/// Sensors of a vehicle are not farther apart, m.
+const LARGEST_OFFSET_M: f64 = 50.0;
+
 /// Sensors of one recording day: the colour camera and where everything is relative to it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Calibration {
@@ -46,8 +49,8 @@ impl Calibration {
             .filter(|(camera3, _)| *camera3 == camera2)
             .map(|(_, camera3_from_camera0)| camera3_from_camera0 * camera2_from_camera0.inverse());
         let rectification = cameras.rotation("R_rect_00", Vector3::zeros())?;
-        let camera_from_velodyne = velodyne.rotation("R", Vector3::from(velodyne.numbers::<3>("T")?))?;
-        let velodyne_from_imu = imu.rotation("R", Vector3::from(imu.numbers::<3>("T")?))?;
+        let camera_from_velodyne = velodyne.rotation("R", velodyne.offset()?)?;
+        let velodyne_from_imu = imu.rotation("R", imu.offset()?)?;
         let camera2_from_velodyne = camera2_from_camera0 * rectification * camera_from_velodyne;
         Ok(Self {
             camera2,
@@ -133,6 +136,23 @@ impl KeyedLines {
         let offset = Vector3::new((px - cx * pz) / fx, (py - cy * pz) / fy, pz);
         let camera = Pinhole { fx, fy, cx, cy, width: size[0] as usize, height: size[1] as usize };
         Ok((camera, Pose { translation: offset, ..Pose::identity() }))
+    }
+
+    /// Where a sensor is beside another, m.
+    fn offset(&self) -> Result<Vector3<f64>> {
+        let offset = Vector3::from(self.numbers::<3>("T")?);
+        match offset.norm() <= LARGEST_OFFSET_M {
+            true => Ok(offset),
+            false => {
+                let found = format!("an offset of {:.1e} m", offset.norm());
+                Err(Error::malformed(
+                    &self.path,
+                    Place::Field("T".to_owned()),
+                    found,
+                    "metres between sensors of a vehicle",
+                ))
+            }
+        }
     }
 
     fn rotation(&self, key: &str, translation: Vector3<f64>) -> Result<Pose> {

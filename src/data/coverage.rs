@@ -33,6 +33,8 @@ pub struct Coverage {
     pub measured_pairs: Vec<usize>,
     /// For each system: those of them whose two images exist.
     pub measured_with_images: Vec<usize>,
+    /// The first depth file that was looked for and is not there.
+    pub missing_depth: Option<PathBuf>,
     /// For each system: the frames it measured, with or without a truth.
     pub measured_frames: Vec<FrameSpan>,
     /// The frames of the drive with a true pose.
@@ -65,9 +67,12 @@ impl Dataset {
             drives => format!(" (one of {drives} drives)"),
         };
         if without_depth.is_some() {
-            return Error::Data(format!(
-                "{drive}{elsewhere}: none of the pairs of `{label}` has depth; choose another depth.source (docs/depth.md)"
-            ));
+            let problem = format!("{drive}{elsewhere}: none of the pairs of `{label}` has depth");
+            let remedy = "choose another depth.source (docs/depth.md)";
+            return Error::Data(match &shown.missing_depth {
+                Some(path) => format!("{problem}: not found: {}", path.display()),
+                None => format!("{problem}; {remedy}"),
+            });
         }
         if let Some(path) = &shown.missing_files[system] {
             return Error::Data(format!(

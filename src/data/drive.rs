@@ -221,12 +221,23 @@ fn load_times(folder: &Path, frames: [&FrameFiles; 2], problems: &mut Vec<String
     }
 }
 
+fn read_time(line: &str) -> Option<Time> {
+    Time::parse_date(line.trim()).or_else(|| Time::parse_seconds(line.trim()))
+}
+
 /// A time a line: the k-th of frame k, or of the k-th frame where a cut drive has as many frames as lines, from a later
 /// one on.
 fn parse_times(text: &str, path: &Path, frames: &FrameFiles, problems: &mut Vec<String>) -> BTreeMap<usize, Time> {
     // Remarks are no lines of frames; blank ones are, of those without a time.
     let numbered = text.trim_end().lines().enumerate().filter(|(_, line)| !line.trim_start().starts_with('#'));
-    let lines: Vec<(usize, &str)> = numbered.collect();
+    let mut lines: Vec<(usize, &str)> = numbered.collect();
+    // A line more than frames, and the first no time: a header.
+    if lines.len() == frames.len() + 1
+        && read_time(lines[0].1).is_none()
+        && lines.get(1).is_some_and(|line| read_time(line.1).is_some())
+    {
+        lines.remove(0);
+    }
     let cut = frames.len() == lines.len() && frames.last_key_value().is_some_and(|(&last, _)| last >= lines.len());
     if let Some((last, _)) = frames.last_key_value().filter(|(last, _)| !cut && **last >= lines.len()) {
         let found = format!("{} lines", lines.len());
@@ -234,11 +245,17 @@ fn parse_times(text: &str, path: &Path, frames: &FrameFiles, problems: &mut Vec<
             .push(Error::malformed(path, Place::Whole, found, format!("a time for each frame to {last}")).to_string());
     }
     let frame_of: Vec<usize> = if cut { frames.keys().copied().collect() } else { (0..lines.len()).collect() };
-    let mut times = BTreeMap::new();
+    let (mut times, mut disordered) = (BTreeMap::<usize, Time>::new(), false);
     for (index, (number, line)) in lines.into_iter().enumerate().filter(|(_, (_, line))| !line.trim().is_empty()) {
         let line = line.trim();
-        match Time::parse_date(line).or_else(|| Time::parse_seconds(line)) {
+        match read_time(line) {
             Some(time) => {
+                if let Some((_, last)) = times.last_key_value().filter(|(_, last)| **last >= time && !disordered) {
+                    disordered = true;
+                    let found = format!("{time} after {last}");
+                    problems
+                        .push(Error::malformed(path, Place::Line(number + 1), found, "increasing times").to_string());
+                }
                 times.insert(frame_of[index], time);
             }
             None => {

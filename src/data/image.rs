@@ -9,7 +9,7 @@ use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 
 use crate::error::{Error, Place, Result};
-use crate::files::read_bytes;
+use crate::files::{read_bytes, require_regular};
 
 /// Largest width and height, px, and largest size of a decoded image: a small file can claim to hold far more.
 const MOST_PIXELS: u32 = 16_384;
@@ -74,13 +74,18 @@ pub fn read_image(path: &Path) -> Result<RgbImage> {
 /// # Errors
 /// It cannot be decoded, or is not whole.
 pub fn decode_image(bytes: &[u8], origin: &Path) -> Result<RgbImage> {
-    let image = decode(bytes, origin, "a complete PNG or JPEG image")?.into_rgb8();
+    let image = decode(bytes, origin, "a complete PNG or JPEG image")?;
+    warn_of_few_bits(&image, origin);
+    let image = image.into_rgb8();
     Ok(RgbImage { width: image.width() as usize, height: image.height() as usize, bytes: image.into_raw() })
 }
 
 /// Decodes any image; the only place that does. `expected` says what it should be.
 pub(crate) fn decode(bytes: &[u8], origin: &Path, expected: &str) -> Result<DynamicImage> {
     let broken = |found: String| Error::malformed(origin, Place::Whole, found, expected);
+    if bytes.is_empty() {
+        return Err(broken("an empty file".to_owned()));
+    }
     let mut reader = ImageReader::new(std::io::Cursor::new(bytes));
     reader.limits(limits());
     let reader = reader.with_guessed_format().map_err(Error::io("read", origin))?;
@@ -109,6 +114,24 @@ pub(crate) fn decode(bytes: &[u8], origin: &Path, expected: &str) -> Result<Dyna
     Ok(image)
 }
 
+/// Says once that an image of 16 bits uses the lower ones alone: of a camera of 12 bits it is nearly black.
+fn warn_of_few_bits(image: &DynamicImage, origin: &Path) {
+    static SAID: Once = Once::new();
+    let brightest = match image {
+        DynamicImage::ImageLuma16(image) => image.iter().max(),
+        DynamicImage::ImageRgb16(image) => image.iter().max(),
+        _ => return,
+    };
+    if let Some(brightest) = brightest.filter(|brightest| **brightest < 1 << 12) {
+        SAID.call_once(|| {
+            tracing::warn!(
+                "{}: 16 bits with no value above {brightest}, so nearly black; scale images of 12 bits by 16",
+                origin.display()
+            );
+        });
+    }
+}
+
 fn limits() -> Limits {
     let mut limits = Limits::default();
     (limits.max_image_width, limits.max_image_height) = (Some(MOST_PIXELS), Some(MOST_PIXELS));
@@ -118,6 +141,7 @@ fn limits() -> Limits {
 
 /// Width and height of an image file, px, by its header.
 pub(super) fn image_size(path: &Path) -> Result<(usize, usize)> {
+    require_regular(path)?;
     let reader = ImageReader::open(path).map_err(Error::io("read", path))?;
     let reader = reader.with_guessed_format().map_err(Error::io("read", path))?;
     let (width, height) = reader

@@ -24,15 +24,12 @@ use super::drive::{Drive, FrameFiles};
 use super::image::image_size;
 use crate::error::{Error, Place, Result, excerpt};
 use crate::files::{Form, Header, Row, Table, is_plain, read_text};
-use crate::geometry::{Pinhole, Pose};
-use crate::systems::pose_from_quaternion;
+use crate::geometry::{OWN_INTRINSICS, Pinhole, Pose};
+use crate::systems::{LARGEST_MOTION_M, pose_from_quaternion};
 use crate::time::{EXPECTED_SECONDS, Time};
 
 /// Largest difference of two statements of one true pose, m and rad.
 const SAME_TRUTH: f64 = 1e-6;
-
-/// Longer motions between two frames are mistakes, m.
-const LARGEST_MOTION_M: f64 = 1e4;
 
 /// Motions of a drive by source and target frame, `source_from_target`.
 pub type Motions = BTreeMap<(usize, usize), Pose>;
@@ -200,6 +197,11 @@ impl Manifest {
         })
     }
 
+    /// Whether a row has a depth map.
+    pub fn has_some_depth(&self) -> bool {
+        self.sequences.values().any(|sequence| !sequence.listed.depth.is_empty())
+    }
+
     /// A sequence as a drive; the size of its images is that of the first that can be read.
     ///
     /// # Errors
@@ -217,8 +219,12 @@ impl Manifest {
         let first = image_size(images.next().expect("a row names two images"));
         let (width, height) = first.or_else(|error| images.find_map(|image| image_size(image).ok()).ok_or(error))?;
         let [fx, fy, cx, cy] = sequence.intrinsics;
+        let camera2 = Pinhole { fx, fy, cx, cy, width, height };
+        camera2
+            .require_centre()
+            .map_err(|found| Error::malformed(&self.path, Place::Field(name.to_owned()), found, OWN_INTRINSICS))?;
         let calibration = Calibration {
-            camera2: Pinhole { fx, fy, cx, cy, width, height },
+            camera2,
             camera2_from_camera0: Pose::identity(),
             camera2_from_velodyne: *camera_from_vehicle,
             camera2_from_vehicle: *camera_from_vehicle,

@@ -55,6 +55,11 @@ impl OxtsPacket {
             let found = "latitude 0, longitude 0";
             return Err(Error::malformed(path, place, found, "a position; the receiver had no fix yet"));
         }
+        let angles = [packet.roll_rad, packet.pitch_rad, packet.yaw_rad];
+        if angles.iter().any(|angle| angle.abs() > std::f64::consts::TAU) {
+            let found = format!("roll, pitch, yaw {angles:?}");
+            return Err(Error::malformed(path, place, found, "radians; degrees are to be converted"));
+        }
         if packet.latitude_deg.abs() >= 89.0 || packet.longitude_deg.abs() > 360.0 {
             let found = format!("latitude {}, longitude {}", packet.latitude_deg, packet.longitude_deg);
             return Err(Error::malformed(path, place, found, "degrees between the poles"));

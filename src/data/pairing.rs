@@ -10,7 +10,7 @@ use super::dataset::{Pair, PairId, PairScope, SplitName};
 use super::drive::Drive;
 use super::manifest::{Manifest, camera_axes_from_vehicle};
 use crate::config::{Config, DriveConfig, MeasurementFrame};
-use crate::depth::has_depth;
+use crate::depth::{depth_file, has_depth};
 use crate::error::{Error, Result};
 use crate::geometry::{Pose, Tangent};
 use crate::systems::{Measurements, Truth, load_measurements};
@@ -73,6 +73,7 @@ impl<'a> Pairing<'a> {
         let count = |files: &BTreeMap<usize, PathBuf>| files.keys().filter(|&&frame| wanted_frame(frame)).count();
         let mut pairs = Vec::new();
         let (mut measured_pairs, mut measured_with_images) = (Vec::new(), Vec::new());
+        let mut missing_depth = None;
         for (system, measurements) in systems.iter().enumerate() {
             let (mut measured, mut with_images) = (0, 0);
             for (&(source, target), measured_pose) in &measurements.relative_poses {
@@ -86,6 +87,9 @@ impl<'a> Pairing<'a> {
                 let pair = (source, target);
                 with_images += usize::from(has_images(&pair));
                 if self.scope != PairScope::Poses && !(has_images(&pair) && has_depth(&pair)) {
+                    if has_images(&pair) && missing_depth.is_none() {
+                        missing_depth = depth_file(&self.config.depth, drive, target, root);
+                    }
                     continue;
                 }
                 let vehicle_from_camera2 = drive.calibration.camera2_from_vehicle.inverse();
@@ -138,6 +142,7 @@ impl<'a> Pairing<'a> {
             depth_pairs,
             measured_pairs,
             measured_with_images,
+            missing_depth,
             measured_frames: systems.iter().map(|system| FrameSpan::of(system.frames())).collect(),
             true_frames: FrameSpan::of(truth.frames()),
             image_frames: FrameSpan::of(drive.images.keys().copied()),

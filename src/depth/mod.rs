@@ -32,4 +32,5 @@ pub(crate) use map::EXPECTED_ASPECT;
 pub use precompute::{FrameId, PrecomputeSummary, Present, precompute};
 pub use scale::{ScaleRule, ScaleScope};
 pub use scores::DepthScores;
+pub(crate) use source::depth_file;
 pub use source::{has_depth, load_depth, native_depth};

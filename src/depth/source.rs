@@ -19,6 +19,15 @@ pub fn has_depth(config: &DepthConfig, drive: &Drive, frame: usize, root: &Path)
     }
 }
 
+/// The file in which the configured source looks for a frame's depth, where it is one of the user's.
+pub(crate) fn depth_file(config: &DepthConfig, drive: &Drive, frame: usize, root: &Path) -> Option<PathBuf> {
+    match config {
+        DepthConfig::Files { path } => Some(files::depth_path(path, drive, frame, root)),
+        DepthConfig::Manifest {} => listed_depth(drive, frame).cloned(),
+        DepthConfig::GroundPlane { .. } | DepthConfig::Lidar { .. } | DepthConfig::Monodepth2(_) => None,
+    }
+}
+
 /// Depth of a frame as seen by `camera`, the colour camera at the network's size; `image` is the frame at that size.
 ///
 /// # Errors

@@ -62,14 +62,23 @@ fn require_fetched(bytes: &[u8], path: &Path) -> Result<()> {
 /// # Errors
 /// It cannot be read, is a folder, a pipe or a device, or larger than any image is.
 pub(crate) fn read_bytes(path: &Path) -> Result<Vec<u8>> {
+    require_regular(path)?;
+    let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
+    require_fetched(&bytes, path).map(|()| bytes)
+}
+
+/// That a file is one that [`read_bytes`] reads: opening a pipe may wait for ever.
+///
+/// # Errors
+/// As [`read_bytes`].
+pub(crate) fn require_regular(path: &Path) -> Result<()> {
     let metadata = std::fs::metadata(path).map_err(Error::io("read", path))?;
     if !metadata.is_file() || metadata.len() > LARGEST_FILE_BYTES {
         let found = if metadata.is_file() { format!("{} bytes", metadata.len()) } else { "no regular file".to_owned() };
         let expected = format!("a file of at most {} MiB", LARGEST_FILE_BYTES >> 20);
         return Err(Error::malformed(path, Place::Whole, found, expected));
     }
-    let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
-    require_fetched(&bytes, path).map(|()| bytes)
+    Ok(())
 }
 
 #[cfg(test)]

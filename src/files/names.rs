@@ -57,14 +57,26 @@ pub(crate) fn require_slots(template: &Path, known: &[&str]) -> Result<(), Strin
 /// # Errors
 /// It is one of them.
 pub(crate) fn require_apart(written: &Path, read: &[&Path]) -> Result<()> {
-    let same = |path: &&&Path| {
-        path.canonicalize().ok().is_some_and(|path| written.canonicalize().is_ok_and(|written| written == path))
-    };
+    let same = |path: &&&Path| is_same_file(written, path);
     match read.iter().find(same) {
         None => Ok(()),
         Some(_) => {
             Err(Error::Data(format!("{}: would be written over what is read; name another file", written.display())))
         }
+    }
+}
+
+/// Whether two names are of one file, by links of any kind.
+fn is_same_file(one: &Path, other: &Path) -> bool {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        let inode = |path: &Path| path.metadata().map(|metadata| (metadata.dev(), metadata.ino())).ok();
+        inode(one).is_some_and(|found| inode(other) == Some(found))
+    }
+    #[cfg(not(unix))]
+    {
+        one.canonicalize().ok().is_some_and(|path| other.canonicalize().is_ok_and(|other| other == path))
     }
 }
 
@@ -115,6 +127,9 @@ mod tests {
         let (read, other) = (folder.path().join("vo.csv"), folder.path().join("out.csv"));
         std::fs::write(&read, "").unwrap();
         assert!(require_apart(&other, &[&read]).is_ok());
+        let linked = folder.path().join("linked.csv");
+        std::fs::hard_link(&read, &linked).unwrap();
+        assert_eq!(require_apart(&linked, &[&read]).is_err(), cfg!(unix));
         let spelt_otherwise = folder.path().join(".").join("vo.csv");
         assert!(
             require_apart(&spelt_otherwise, &[&other, &read]).unwrap_err().to_string().contains("name another file")

@@ -75,7 +75,7 @@ impl<'a> Table<'a> {
         }
         table.pending = is_row && !form.widths.is_empty();
         let named: Option<Vec<String>> = match table.pending {
-            true => table.header.take_remark(text, form),
+            true => table.header.take_remark(text, table.record.len(), form),
             false => Some(table.record.iter().map(str::to_owned).collect()),
         };
         named.map_or(Ok(()), |named| table.header.take(named, form))?;
@@ -115,9 +115,11 @@ impl<'a> Table<'a> {
                 return Ok(None);
             }
             if let Some(cell) = self.record.iter().find(|cell| cell.contains('\n')) {
-                return Err(broken(format!("a cell of several lines, {}", excerpt(cell))));
+                return Err(broken(format!("a quote that is not closed, {}", excerpt(cell))));
             }
-            if !self.record.get(0).is_none_or(is_passed_over) || self.record.len() > 1 && self.record[0].is_empty() {
+            // Spreadsheets leave rows of commas alone.
+            let is_blank = self.record.iter().all(str::is_empty);
+            if !is_blank && !self.record[0].starts_with('#') {
                 return Ok(Some(self.line()));
             }
         }
@@ -143,12 +145,15 @@ impl Header<'_> {
         }
     }
 
-    /// The names in a remark before the first row, if most of its cells are names of columns.
-    fn take_remark(&mut self, text: &str, form: &Form) -> Option<Vec<String>> {
+    /// The names in a remark before the first row: as many as the row has cells, or most of them known.
+    fn take_remark(&mut self, text: &str, row_cells: usize, form: &Form) -> Option<Vec<String>> {
         remarks(text).find_map(|(place, remark)| {
-            let cells: Vec<&str> = remark.trim_start_matches('#').split(',').map(str::trim).collect();
+            let remark = remark.trim_start_matches('#');
+            let by_commas: Vec<&str> = remark.split(',').map(str::trim).collect();
+            let cells = if by_commas.len() > 1 { by_commas } else { remark.split_whitespace().collect() };
             let known = cells.iter().filter(|cell| form.columns.contains(cell)).count();
-            (cells.len() > 2 && 2 * known > cells.len()).then(|| {
+            let named = known > 0 && cells.len() == row_cells || 3 * known > 2 * cells.len();
+            (cells.len() > 2 && named).then(|| {
                 self.place = place;
                 cells.into_iter().map(str::to_owned).collect()
             })
@@ -330,12 +335,12 @@ mod tests {
         // Names for the first ones alone.
         assert_eq!(read("y,x,frame\n0,1.5,4\n\n0,2.5,5,.1\n", &FORM).unwrap(), [(2, 4, 1.5), (4, 5, 2.5)]);
         assert_eq!(
-            read("\n \n# a \"remark\n  # another, indented\n\nframe,x\n# more\n\n4,1.5\n", &FORM).unwrap(),
-            [(9, 4, 1.5)]
+            read("\n \n,,\n# a \"remark\n  # another, indented\n\nframe,x\n# more\n\n4,1.5\n", &FORM).unwrap(),
+            [(10, 4, 1.5)]
         );
         // As numpy.savetxt writes its header.
         assert_eq!(read("# x, frame, y\n1.5,4,0\n", &FORM).unwrap(), [(2, 4, 1.5)]);
-        assert_eq!(read("# of Monday, x, y\n4,1.5,0\n# he said, \"so\n5,1.5,0\n", &FORM).unwrap().len(), 2);
+        assert_eq!(read("# of Monday: x, y\n4,1.5,0\n# he said, \"so\n5,1.5,0\n", &FORM).unwrap().len(), 2);
         assert_eq!(read("", &FORM).unwrap(), []);
     }
 
@@ -358,7 +363,7 @@ mod tests {
             ("frame,x,x\n4,1,1\n", "line 1: found a second column `x`"),
             ("# one\nframe,lat\n", "line 2: found an unknown column `lat`; expected frame,x,y and std (docs)"),
             ("frame,y\n4,1\n", "line 1: found no column `x`"),
-            ("frame,x\n4,\"1\n5,2\n6,3\n", "line 2: found a cell of several lines, `1\\n5,2\\n6,3`"),
+            ("frame,x\n4,\"1\n5,2\n6,3\n", "line 2: found a quote that is not closed, `1\\n5,2\\n6,3`"),
         ] {
             let message = read(text, &FORM).unwrap_err().to_string();
             assert!(message.contains(words), "{message}\nexpected: {words}");

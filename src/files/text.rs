@@ -64,10 +64,10 @@ pub(crate) fn rows(text: &str) -> impl Iterator<Item = (Place, &str)> {
     lines.filter(|(_, line)| !is_passed_over(line)).map(|(index, line)| (Place::Line(index + 1), line))
 }
 
-/// The remarks before the first row of a text, with their places.
+/// The remarks of a text, with their places; quoted ones too, as spreadsheets write them.
 pub(crate) fn remarks(text: &str) -> impl Iterator<Item = (Place, &str)> {
-    let lines = without_mark(text).lines().enumerate().take_while(|(_, line)| is_passed_over(line));
-    lines.map(|(index, line)| (Place::Line(index + 1), line.trim())).filter(|(_, line)| !line.is_empty())
+    let lines = without_mark(text).lines().enumerate().map(|(index, line)| (Place::Line(index + 1), line.trim()));
+    lines.filter(|(_, line)| line.trim_start_matches('"').starts_with('#'))
 }
 
 /// Whether a line is blank or a remark.

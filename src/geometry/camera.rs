@@ -3,6 +3,9 @@
 use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
+/// What intrinsics should be, for messages.
+pub(crate) const OWN_INTRINSICS: &str = "intrinsics fx, fy, cx, cy at the image's own size, px";
+
 /// Pinhole intrinsics of an image of known size; pixels, centres at integer coordinates.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Pinhole {
@@ -21,6 +24,18 @@ pub struct Pinhole {
 }
 
 impl Pinhole {
+    /// That its principal point lies in the image, as it does unless the intrinsics are those of another size.
+    ///
+    /// # Errors
+    /// It does not; both are named.
+    pub fn require_centre(&self) -> Result<(), String> {
+        let Self { cx, cy, width, height, .. } = *self;
+        match (0.0..=width as f64).contains(&cx) && (0.0..=height as f64).contains(&cy) {
+            true => Ok(()),
+            false => Err(format!("a principal point ({cx}, {cy}) outside the image of {width}x{height}")),
+        }
+    }
+
     /// The camera of the same view sampled at another size.
     ///
     /// A pixel covers the half-open square of half a pixel around its centre, so edges, not centres,

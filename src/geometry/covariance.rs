@@ -20,6 +20,9 @@ pub enum CovarianceError {
     /// Two mirrored entries differ by more than rounding.
     #[error("entries ({0}, {1}) and ({1}, {0}) differ by {2:.1e}")]
     NotSymmetric(usize, usize, f64),
+    /// Only entries on one side of the diagonal are given.
+    #[error("one half of the matrix is zero")]
+    HalfFilled,
     /// A component has negative variance.
     #[error("the variance ({0}, {0}) is {1:.1e}")]
     NegativeDiagonal(usize, f64),
@@ -42,6 +45,7 @@ impl CovarianceError {
             Self::NotSymmetric(..) => {
                 "mirrored entries equal to 1e-5 of sqrt(c_ii c_jj); write 0.5 (C + Cᵀ) if that is meant"
             }
+            Self::HalfFilled => "the whole matrix; mirror its other half",
             Self::NegativeDiagonal(..) | Self::NegativeVariance(_) => {
                 "a covariance: no direction with a negative variance"
             }
@@ -61,7 +65,12 @@ impl Covariance6 {
         if let Some((row, column)) = entries().find(|&entry| !matrix[entry].is_finite()) {
             return Err(CovarianceError::NotFinite(row, column));
         }
-        for (row, column) in entries().filter(|(row, column)| row < column) {
+        let above = || entries().filter(|(row, column)| row < column);
+        let is_zero = |matrix: Matrix6<f64>| above().all(|entry| matrix[entry] == 0.0);
+        if is_zero(matrix) != is_zero(matrix.transpose()) {
+            return Err(CovarianceError::HalfFilled);
+        }
+        for (row, column) in above() {
             let difference = (matrix[(row, column)] - matrix[(column, row)]).abs();
             let unit = (matrix[(row, row)] * matrix[(column, column)]).abs().sqrt();
             if difference > (SYMMETRY_TOLERANCE * unit).max(1e-9 * scale) {
@@ -246,7 +255,9 @@ mod tests {
     fn matrices_that_are_no_covariance_are_named() {
         let mut matrix = Matrix6::identity();
         matrix[(0, 1)] = 0.5;
-        assert_eq!(Covariance6::from_matrix(matrix), Err(CovarianceError::NotSymmetric(0, 1, 0.5)));
+        assert_eq!(Covariance6::from_matrix(matrix), Err(CovarianceError::HalfFilled));
+        matrix[(1, 0)] = 0.25;
+        assert_eq!(Covariance6::from_matrix(matrix), Err(CovarianceError::NotSymmetric(0, 1, 0.25)));
         matrix[(1, 0)] = f64::NAN;
         assert_eq!(Covariance6::from_matrix(matrix), Err(CovarianceError::NotFinite(1, 0)));
         assert_eq!(Covariance6::from_matrix(-Matrix6::identity()), Err(CovarianceError::NegativeDiagonal(0, -1.0)));

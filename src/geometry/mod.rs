@@ -18,6 +18,7 @@ mod frame;
 mod posterior;
 mod se3;
 
+pub(crate) use camera::OWN_INTRINSICS;
 pub use camera::Pinhole;
 pub use covariance::{Covariance6, CovarianceError};
 pub use frame::{Conventions, ErrorFrame};

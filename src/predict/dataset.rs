@@ -42,7 +42,8 @@ impl Model {
         for prediction in &predictions {
             let Prediction { pair, system, motion, .. } = prediction;
             let drive = &dataset.drives[pair.drive];
-            let world_from_vehicle = drive.oxts_poses.get(&pair.source).filter(|_| config.truth == TruthConfig::Oxts);
+            let world_from_vehicle =
+                drive.oxts_poses.get(&pair.source).filter(|_| config.truth == TruthConfig::Oxts {});
             let axes = |frame| axes_from_vehicle(drive, frame, world_from_vehicle);
             let output_from_vehicle = axes(output)?;
             let estimate =

@@ -20,7 +20,7 @@ use crate::depth::{DepthMap, EXPECTED_ASPECT, LiveDepth};
 use crate::error::{Error, Result};
 use crate::evaluation::{Recalibration, read_values};
 use crate::export::Verdict;
-use crate::geometry::{Covariance6, ErrorFrame, Pinhole, Pose, Posterior, Tangent};
+use crate::geometry::{Covariance6, ErrorFrame, OWN_INTRINSICS, Pinhole, Pose, Posterior, Tangent};
 use crate::model::{Architecture, CovarianceModel, Estimate, EvidenceInput};
 use crate::network::Head;
 use crate::training::RunFolder;
@@ -335,6 +335,7 @@ impl Model {
         if target_depth.depth_m.len() != target_depth.width * target_depth.height || target_depth.depth_m.is_empty() {
             return Err(Error::Data("the depth map does not hold one depth for each of its pixels".to_owned()));
         }
+        camera.require_centre().map_err(|found| Error::Data(format!("found {found}; expected {OWN_INTRINSICS}")))?;
         let (width, height) = (self.architecture.width, self.architecture.height);
         // One of the network's own size shows what the network sees.
         if [target_depth.width, target_depth.height] != [width, height] {

@@ -169,7 +169,11 @@ impl<'a> Stream<'a> {
                 target_image: target.read("right_target_image", read_image, decode_image)?,
                 right_from_left: right_from_left.pose("right_from_left")?,
             }),
-            _ => None,
+            (None, None, None) => None,
+            _ => {
+                let problem = "right_source_image, right_target_image and right_from_left come together, or not at all";
+                return Err(Error::Data(problem.to_owned()));
+            }
         };
         let measurement = Measurement {
             source_image,

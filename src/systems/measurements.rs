@@ -4,14 +4,14 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use super::frames::{Joined, frames_of_rows};
-use super::relative::{Statement, parse_relative_poses};
+use super::relative::{Statement, parse_relative_poses, warn_of_turns};
 use super::sequences::odometry_sequence;
 use super::trajectory::{KittiPoses, Trajectory, parse_kitti_poses, parse_tum_trajectory};
 use super::truth::{Steps, Truth, motions_of};
 use crate::config::{MeasurementFrame, SystemConfig, SystemSource, TrajectoryConfig, TrajectoryFormat};
 use crate::data::{Drive, Motions};
 use crate::error::{Error, Place, Result};
-use crate::files::{fill_template, read_text};
+use crate::files::{fill_template, read_text, remarks};
 use crate::geometry::{Covariance6, ErrorFrame, Pose};
 
 /// Largest distance in time between a TUM row and the frame it belongs to, s: a fifth of KITTI's period.
@@ -63,7 +63,9 @@ pub fn load_measurements(system: &SystemConfig, drive: &Drive, root: &Path, trut
         SystemSource::Trajectory(config) => match load_trajectory(config, drive, root)? {
             Some(trajectory) => {
                 let motions = motions_of(&trajectory, Steps::Keyframes);
-                warn_of_long_steps(&motions, &expand(&config.path, drive, root));
+                let path = expand(&config.path, drive, root);
+                warn_of_long_steps(&motions, &path);
+                warn_of_turns(motions.values(), &path);
                 found(config.frame, motions)
             }
             None => missing(config.frame, expand(&config.path, drive, root)),
@@ -84,7 +86,7 @@ pub fn load_measurements(system: &SystemConfig, drive: &Drive, root: &Path, trut
                 return Ok(missing(config.frame, path));
             }
             let text = read_text(&path)?;
-            require_frame(&text, config.frame, &path)?;
+            require_axes(Statement::of(&text, &path)?.frame, config.frame, &path)?;
             let poses = parse_relative_poses(&text, &path)?;
             let covariances = poses.iter().filter_map(|pose| Some(((pose.source, pose.target), pose.covariance?)));
             Measurements {
@@ -110,14 +112,21 @@ fn warn_of_long_steps(motions: &Motions, path: &Path) {
     }
 }
 
+/// The axes that the first line of a TUM trajectory states which relcov wrote: `…, axes: vehicle`.
+fn stated_axes(text: &str) -> Option<ErrorFrame> {
+    let (_, remark) = remarks(text).next()?;
+    let (_, axes) = remark.split_once("axes: ")?;
+    ErrorFrame::of(axes.split(|c: char| !c.is_alphabetic()).next()?)
+}
+
 /// That a file which states its axes is read in them.
-fn require_frame(text: &str, frame: MeasurementFrame, path: &Path) -> Result<()> {
+fn require_axes(stated: Option<ErrorFrame>, frame: MeasurementFrame, path: &Path) -> Result<()> {
     let expected = match frame {
         MeasurementFrame::Camera0 => None,
         MeasurementFrame::Camera2 => Some(ErrorFrame::Camera),
         MeasurementFrame::Vehicle => Some(ErrorFrame::Vehicle),
     };
-    match Statement::of(text, path)?.frame.filter(|stated| Some(*stated) != expected) {
+    match stated.filter(|stated| Some(*stated) != expected) {
         None => Ok(()),
         Some(stated) => Err(Error::malformed(
             path,
@@ -154,6 +163,7 @@ pub(super) fn load_trajectory(config: &TrajectoryConfig, drive: &Drive, root: &P
             }
         },
         TrajectoryFormat::Tum => {
+            require_axes(stated_axes(&text), config.frame, &path)?;
             let times = drive.require_times("a TUM trajectory")?;
             parse_tum_trajectory(&text, &path, times, TUM_TOLERANCE_S)?
         }

@@ -11,6 +11,8 @@ use crate::geometry::{Covariance6, ErrorFrame, Pose};
 
 /// Columns of frames and pose.
 const POSE_COLUMNS: [&str; 9] = ["source", "target", "x", "y", "z", "qx", "qy", "qz", "qw"];
+/// Longer motions between two frames are mistakes, m.
+pub(crate) const LARGEST_MOTION_M: f64 = 1e4;
 /// Entries of a covariance.
 const ENTRIES: usize = 36;
 
@@ -52,7 +54,7 @@ impl Statement {
         format!("# {frame}perturbation {side}, order x y z roll pitch yaw, m and rad{remark}\n")
     }
 
-    /// What the remarks before a file's first row say; one that does not have the form of relcov's own says nothing.
+    /// What the remarks of a file say; one that does not have the form of relcov's own says nothing.
     ///
     /// # Errors
     /// One nearly has it: axes that are not known, or a side that stands elsewhere.
@@ -62,7 +64,7 @@ impl Statement {
                 let expected = "`# frame vehicle, perturbation right` with vehicle, camera or world, left or right";
                 Error::malformed(path, place.clone(), excerpt(remark), expected)
             };
-            match Self::parse(remark.trim_start_matches('#')) {
+            match Self::parse(&remark.replace('"', "")) {
                 Some(said) => return Ok(said),
                 None if remark.to_ascii_lowercase().contains("perturbation right") => return Err(unclear()),
                 None => {}
@@ -74,7 +76,7 @@ impl Statement {
     /// A remark that begins with nothing but a statement; further ones may follow a comma.
     fn parse(remark: &str) -> Option<Self> {
         let mut said = Self::default();
-        for (index, part) in remark.split(',').map(str::trim).enumerate() {
+        for (index, part) in remark.trim_start_matches('#').split(',').map(str::trim).enumerate() {
             match (part.split_once(' '), index) {
                 (Some(("frame", axes)), _) if ErrorFrame::of(axes).is_some() => said.frame = ErrorFrame::of(axes),
                 (Some(("perturbation", "left")), _) => said.side = Side::Left,
@@ -127,16 +129,20 @@ fn parse(text: &str, path: &Path, covariances: Stated) -> Result<Vec<RelativePos
     while let Some(row) = table.next()? {
         let (source, target) = (row.frame(places[0])?, row.frame(places[1])?);
         if target <= source {
-            return Err(row.broken(format!("source {source}, target {target}"), "a target after its source"));
+            return Err(row.broken(
+                format!("source {source}, target {target}"),
+                "a target after its source; invert the pose of one before",
+            ));
         }
         if let Some(last) = poses.last()
             && (last.source, last.target) >= (source, target)
         {
             let found = format!("pair {source},{target} after {},{}", last.source, last.target);
-            return Err(row.broken(found, "increasing pairs, each once"));
+            return Err(row.broken(found, "increasing pairs, each once; sort the rows"));
         }
         let [x, y, z, quaternion @ ..] = row.numbers::<7>(&places[2..])?;
-        let source_from_target = pose_from_quaternion(Vector3::new(x, y, z), quaternion, path, &row.place())?;
+        let translation = Vector3::new(x, y, z);
+        let source_from_target = pose_from_quaternion(translation, quaternion, path, &row.place())?;
         let stated = if covariances == Stated::Read && !entries.is_empty() {
             row.all_or_none::<ENTRIES>(&entries)?
         } else {
@@ -150,11 +156,29 @@ fn parse(text: &str, path: &Path, covariances: Stated) -> Result<Vec<RelativePos
             Side::Right => covariance.left_of(&source_from_target),
             Side::Left => covariance,
         });
+        if translation.norm() > LARGEST_MOTION_M {
+            return Err(
+                row.broken(format!("a motion of {:.1e} m", translation.norm()), "at most 10 km between two frames")
+            );
+        }
         poses.push(RelativePose { source, target, source_from_target, covariance });
     }
+    warn_of_turns(poses.iter().map(|pose| &pose.source_from_target), path);
     match poses.is_empty() {
         true => Err(Error::malformed(path, Place::Whole, "no row", format!("one for each pair: {described}"))),
         false => Ok(poses),
+    }
+}
+
+/// Says that most motions turn by more than a right angle, as they do where w is read as x.
+pub(super) fn warn_of_turns<'a>(motions: impl Iterator<Item = &'a Pose>, path: &Path) {
+    let angles: Vec<f64> = motions.map(|motion| motion.rotation.angle()).collect();
+    let turned = angles.iter().filter(|angle| **angle > std::f64::consts::FRAC_PI_2).count();
+    if 2 * turned > angles.len() {
+        let (path, count) = (path.display(), angles.len());
+        tracing::warn!(
+            "{path}: {turned} of {count} motions turn by more than 90 degrees; is qw the last of the quaternion?"
+        );
     }
 }
 
@@ -242,7 +266,8 @@ mod tests {
             ("# the frame camera, as told\n# frame vehicle\n", Some(ErrorFrame::Vehicle), Side::Left),
             ("\u{feff}\n# frame camera, perturbation right, m\n", Some(ErrorFrame::Camera), Side::Right),
             ("# perturbation right\n", None, Side::Right),
-            ("source,target\n# frame camera\n", None, Side::Left),
+            ("source,target\n# frame camera\n", Some(ErrorFrame::Camera), Side::Left),
+            ("\"# frame camera\",\"perturbation right\"\n", Some(ErrorFrame::Camera), Side::Right),
         ] {
             assert_eq!(read(text).unwrap(), Statement { frame, side }, "{text}");
         }

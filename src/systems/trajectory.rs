@@ -6,7 +6,7 @@ use std::path::Path;
 use nalgebra::{Matrix3x4, Quaternion, Rotation3, UnitQuaternion, Vector3};
 
 use crate::error::{Error, Place, Result, excerpt};
-use crate::files::{frame_index, parse_numbers, rows};
+use crate::files::{frame_index, parse_numbers, remarks, rows};
 use crate::geometry::Pose;
 use crate::time::{EXPECTED_SECONDS, Time};
 
@@ -98,6 +98,7 @@ pub fn parse_tum_trajectory(
     frame_times: &BTreeMap<usize, Time>,
     tolerance_s: f64,
 ) -> Result<Trajectory> {
+    require_tum_order(text, path)?;
     let mut frames: Vec<(Time, usize)> = frame_times.iter().map(|(&frame, &time)| (time, frame)).collect();
     frames.sort();
     // For each frame the offset of its nearest row, and that row's pose.
@@ -141,7 +142,27 @@ pub fn parse_tum_trajectory(
         };
         return Err(Error::malformed(path, Place::Whole, format!("{count} poses, {first} to {last} s"), expected));
     }
+    let within = frames.iter().filter(|(time, _)| (first..=last).contains(time)).count();
+    let lacking = within.saturating_sub(nearest_rows.len());
+    if lacking > 0 {
+        let path = path.display();
+        tracing::warn!(
+            "{path}: {lacking} of the {within} frames between its first and last row have no pose within {tolerance_s} s"
+        );
+    }
     Ok(nearest_rows.into_iter().map(|(frame, (_, pose))| (frame, pose)).collect())
+}
+
+/// That a remark which names columns names them as TUM files have them.
+fn require_tum_order(text: &str, path: &Path) -> Result<()> {
+    for (place, remark) in remarks(text) {
+        let words: Vec<&str> = remark.split(|c: char| !c.is_alphanumeric()).collect();
+        let at = |name: &str| words.iter().position(|word| *word == name);
+        if at("qw").zip(at("qx")).is_some_and(|(w, x)| w < x) {
+            return Err(Error::malformed(path, place, excerpt(remark), "columns t x y z qx qy qz qw, w the last"));
+        }
+    }
+    Ok(())
 }
 
 /// A pose from translation and quaternion `x y z w`, which is normalised.
@@ -240,8 +261,12 @@ mod tests {
         assert_eq!(parse_tum_trajectory(text, Path::new("t"), &frames, 1e-7).unwrap().keys().collect::<Vec<_>>(), [&1]);
         for (text, words) in [
             ("1.0,0,0,0,0,0,0,1\n", "expected numbers separated by blanks"),
-            ("1403636579763555584 0 0 0 0 0 0 1\n", "nanoseconds? divide them by 1e9"),
+            ("1403636579763555584 0 0 0 0 0 0 1\n", "nanoseconds are to be divided"),
             ("# t x y z qx qy qz qw\n", "found no row"),
+            (
+                "# t x y z qw qx qy qz\n1 0 0 0 1 0 0 0\n",
+                "line 1: found `# t x y z qw qx qy qz`; expected columns t x y z",
+            ),
         ] {
             let message = parse_tum_trajectory(text, Path::new("t"), &frames, 0.02).unwrap_err().to_string();
             assert!(message.contains(words), "{message}");

@@ -27,7 +27,7 @@ impl Truth {
         let calibration = &drive.calibration;
         let vehicle_from = |frame| calibration.camera2_from_vehicle.inverse() * calibration.camera2_from(frame);
         match truth {
-            TruthConfig::Oxts => Ok(Self::Poses(drive.oxts_poses.clone())),
+            TruthConfig::Oxts {} => Ok(Self::Poses(drive.oxts_poses.clone())),
             TruthConfig::Trajectory(config) => {
                 let body_from_vehicle = vehicle_from(config.frame).inverse();
                 let poses = load_trajectory(config, drive, root)?.unwrap_or_default();

@@ -134,6 +134,12 @@ impl RunFolder {
         &self.path
     }
 
+    /// The files of a run and its results, there or not: nothing else is to be written over them.
+    pub fn files(&self) -> Vec<PathBuf> {
+        let names = [CONFIG, MANIFEST, METRICS, LOSSES, MODEL, EVALUATION, PAIRS, RECALIBRATION];
+        names.map(|name| self.path.join(name)).into()
+    }
+
     /// Path of the effective configuration.
     pub fn config_path(&self) -> PathBuf {
         self.path.join(CONFIG)

@@ -170,7 +170,7 @@ fn corrected_measurements_are_judged_beside_the_measurements() {
         (row.posterior, row.no_verdict) = (None, Some(NoVerdict::NoTexture));
     }
     write_pairs(&pairs, &table).unwrap();
-    let result = folder.path().join("seen.json");
+    let result = folder.path().join("results/seen.json");
     relcov()
         .args(["eval", "--error-frame", "vehicle", "--pairs"])
         .arg(&pairs)

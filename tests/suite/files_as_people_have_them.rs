@@ -69,7 +69,11 @@ fn a_stamp_is_the_images_own_to_the_nanosecond() {
     // What was written is read again, each row the pose of its own frame.
     let back = folder.path().join("back.TUM");
     std::fs::write(&back, tum).unwrap();
-    assert_eq!(stdout(predict_drive(&drive, &back, &[])).lines().count(), 2);
+    let vehicle = ["--measurement-frame", "vehicle"];
+    assert_eq!(stdout(predict_drive(&drive, &back, &vehicle)).lines().count(), 2);
+    // Its axes are those that its first line states.
+    let other = contains("line 1: found motions in axes `vehicle`; expected those of `camera0`");
+    predict_drive(&drive, &back, &[]).assert().code(1).stderr(other);
 }
 
 #[test]

@@ -47,6 +47,11 @@ pub(super) fn fuse_files(arguments: &FuseArguments, terminal: &Terminal) -> anyh
         );
         return Err(Error::Data(problem).into());
     }
+    if frames.contains(&ErrorFrame::World) {
+        let problem = "the odometry is in axes of the world, which turn with respect to the body from motion to motion; `relcov predict --frame vehicle` writes that of the body";
+        return Err(Error::Data(problem.to_owned()).into());
+    }
+    require_distinct(&arguments.odometry)?;
     let odometry: Vec<Odometry> = read.into_iter().map(|(odometry, _)| odometry).collect();
     if let Some(name) = constants.keys().find(|name| odometry.iter().all(|system| system.system != **name)) {
         return Err(Error::Data(format!("--constant {name}: no --odometry {name}=FILE")).into());
@@ -127,6 +132,24 @@ fn read_odometry(text: &str, constants: &BTreeMap<String, Covariance6>) -> Resul
     }
     let odometry = Odometry { system: name.to_owned(), motions };
     Ok((odometry, Statement::of(&text, path)?.frame))
+}
+
+/// That no system is counted twice: each name and each file once.
+fn require_distinct(odometry: &[String]) -> Result<()> {
+    let split: Vec<(&str, &str)> = odometry.iter().filter_map(|text| text.split_once('=')).collect();
+    for (index, (name, path)) in split.iter().enumerate() {
+        let twice = split[..index].iter().any(|(other, _)| other == name);
+        let same =
+            require_apart(Path::new(path), &split[..index].iter().map(|(_, path)| Path::new(path)).collect::<Vec<_>>());
+        let problem = match (name.is_empty(), twice, same.is_err()) {
+            (true, ..) => "names no system; expected NAME=FILE",
+            (_, true, _) => "is a system that is there already; it would count twice",
+            (.., true) => "is a file that is there already; it would count twice",
+            _ => continue,
+        };
+        return Err(Error::Data(format!("--odometry {name}={path}: {problem}")));
+    }
+    Ok(())
 }
 
 /// True poses of the frames that the odometry reaches; a file that does not say its frames has a row for each.

@@ -35,7 +35,7 @@ pub(super) fn of_drive(arguments: &PredictArguments, config: Config, drive: &Pat
     };
     Ok(Config {
         data: only_test(&config.data, root, None, None, vec![DriveConfig { drive: name, frames: None }]),
-        truth: TruthConfig::Oxts,
+        truth: TruthConfig::Oxts {},
         systems: vec![SystemConfig { name: system, share: 1.0, source }],
         ..config
     })
@@ -70,6 +70,15 @@ pub(super) fn of_manifest(arguments: &PredictArguments, config: Config, path: &P
     let depth = match &config.depth {
         _ if arguments.changes("depth.") => config.depth.clone(),
         _ if manifest.has_depth() => DepthConfig::Manifest {},
+        _ if manifest.has_some_depth() => {
+            return Err(Error::malformed(
+                path,
+                Place::Field("depth".to_owned()),
+                "rows with a depth map and rows without",
+                "one for each target frame, or none; or --set depth.source=ground_plane for all",
+            )
+            .into());
+        }
         DepthConfig::GroundPlane { .. } | DepthConfig::Monodepth2(_) => config.depth.clone(),
         DepthConfig::Lidar { .. } | DepthConfig::Files { .. } | DepthConfig::Manifest {} => {
             return Err(Error::malformed(

@@ -10,6 +10,7 @@ use crate::cli::{Terminal, print_result};
 use crate::error::Error;
 use crate::export::{Format, MeasuredMotions};
 use crate::files::{fill_template, require_apart, require_no_folder, require_slots, write_atomically};
+use crate::training::RunFolder;
 
 /// What stands for names in `--out`.
 const SLOTS: [&str; 2] = ["{system}", "{drive}"];
@@ -44,6 +45,8 @@ impl<'a> Sink<'a> {
             .into_iter()
             .filter_map(|path| path.as_deref())
             .collect();
+        let run = RunFolder::at(&arguments.run).files();
+        let read: Vec<&Path> = read.into_iter().chain(run.iter().map(PathBuf::as_path)).collect();
         owners.keys().flatten().try_for_each(|path| {
             require_no_folder(path)?;
             require_apart(path, &read)
@@ -75,7 +78,7 @@ impl<'a> Sink<'a> {
 
     /// Where one system's predictions on one drive go; `None`: to stdout.
     fn path(&self, system: &str, drive: &str) -> Option<PathBuf> {
-        let template = self.arguments.out.as_ref()?;
+        let template = self.arguments.out.as_ref().filter(|out| out.as_os_str() != "-")?;
         Some(fill_template(template, &[("{system}", system), ("{drive}", drive)]))
     }
 }
