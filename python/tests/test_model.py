@@ -178,7 +178,7 @@ def test_images_that_show_nothing_are_answered(world):
     far = T.copy()
     far[2, 3] = -1000
     for images, pose_of, map_of_target, verdict in [
-        ((image(world, 0), image(world, 1)), T, np.zeros((8, 8), dtype=np.float32), "no_depth"),
+        ((image(world, 0), image(world, 1)), T, np.zeros_like(depth(world, 1)), "no_depth"),
         ((black, black), T, depth(world, 1), "no_texture"),
         ((image(world, 0), image(world, 1)), far, depth(world, 1), "no_overlap"),
     ]:
@@ -222,7 +222,8 @@ def test_what_is_wrong_is_named(world):
         (dict(K=good["K"] + 1j), "K: found complex"),
         (dict(camera_from_vehicle=np.ones((4, 4))), "camera_from_vehicle: found"),
         (dict(right=(good["image0"], good["image1"])), "right: this model looks at one camera"),
-        (dict(depth=np.zeros((3, 3))), "not one pixel"),
+        (dict(depth=np.zeros_like(good["depth"])), "not one pixel"),
+        (dict(depth=good["depth"].T), "found a depth map of .* for an image of"),
         (dict(depth=None), "no depth was given"),
     ]:
         with pytest.raises(ValueError, match=words):
