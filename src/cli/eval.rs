@@ -77,10 +77,10 @@ pub struct EvalArguments {
 
 pub fn run(arguments: EvalArguments, terminal: &Terminal) -> anyhow::Result<()> {
     arguments.output.check(1)?;
-    if let (Some(pairs), Some(fit)) = (&arguments.pairs, &arguments.fit) {
-        if require_apart(fit, &[pairs]).is_err() {
-            note(false, "warning: --fit: baselines that are fitted to what they are judged on are too good");
-        }
+    if let (Some(pairs), Some(fit)) = (&arguments.pairs, &arguments.fit)
+        && require_apart(fit, &[pairs]).is_err()
+    {
+        note(false, "warning: --fit: baselines that are fitted to what they are judged on are too good");
     }
     let read: Vec<&Path> =
         [&arguments.pairs, &arguments.fit, &arguments.config].into_iter().filter_map(|path| path.as_deref()).collect();
