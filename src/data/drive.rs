@@ -7,8 +7,9 @@ use super::calibration::Calibration;
 use super::image::{RgbImage, read_image};
 use super::manifest::Listed;
 use super::oxts::{OxtsPacket, world_from_vehicle};
-use crate::error::{Error, Place, Result, excerpt};
-use crate::files::{LARGEST_FRAME, extension, read_text};
+use super::times::load_times;
+use crate::error::{Error, Place, Result};
+use crate::files::{LARGEST_FRAME, extension};
 use crate::geometry::Pose;
 use crate::time::Time;
 
@@ -204,89 +205,4 @@ fn load_poses(packets: &FrameFiles, problems: &mut Vec<String>) -> BTreeMap<usiz
         }
     }
     poses
-}
-
-/// Frame times of the camera, else of the packets; each file beside the frames it was written for.
-fn load_times(folder: &Path, frames: [&FrameFiles; 2], problems: &mut Vec<String>) -> BTreeMap<usize, Time> {
-    let files = ["image_02/timestamps.txt", "oxts/timestamps.txt"].map(|name| folder.join(name));
-    let Some((path, frames)) = files.into_iter().zip(frames).find(|(path, _)| path.is_file()) else {
-        return BTreeMap::new();
-    };
-    match read_text(&path) {
-        Ok(text) => parse_times(&text, &path, frames, problems),
-        Err(error) => {
-            problems.push(error.to_string());
-            BTreeMap::new()
-        }
-    }
-}
-
-fn read_time(line: &str) -> Option<Time> {
-    Time::parse_date(line.trim()).or_else(|| Time::parse_seconds(line.trim()))
-}
-
-/// A time a line: the k-th of frame k, or of the k-th frame where a cut drive has as many frames as lines, from a later
-/// one on.
-fn parse_times(text: &str, path: &Path, frames: &FrameFiles, problems: &mut Vec<String>) -> BTreeMap<usize, Time> {
-    // Remarks are no lines of frames; blank ones are, of those without a time.
-    let numbered = text.trim_end().lines().enumerate().filter(|(_, line)| !line.trim_start().starts_with('#'));
-    let mut lines: Vec<(usize, &str)> = numbered.collect();
-    // A line more than frames, and the first no time: a header.
-    if lines.len() == frames.len() + 1
-        && read_time(lines[0].1).is_none()
-        && lines.get(1).is_some_and(|line| read_time(line.1).is_some())
-    {
-        lines.remove(0);
-    }
-    let cut = frames.len() == lines.len() && frames.last_key_value().is_some_and(|(&last, _)| last >= lines.len());
-    if let Some((last, _)) = frames.last_key_value().filter(|(last, _)| !cut && **last >= lines.len()) {
-        let found = format!("{} lines", lines.len());
-        problems
-            .push(Error::malformed(path, Place::Whole, found, format!("a time for each frame to {last}")).to_string());
-    }
-    let frame_of: Vec<usize> = if cut { frames.keys().copied().collect() } else { (0..lines.len()).collect() };
-    let (mut times, mut disordered) = (BTreeMap::<usize, Time>::new(), false);
-    for (index, (number, line)) in lines.into_iter().enumerate().filter(|(_, (_, line))| !line.trim().is_empty()) {
-        let line = line.trim();
-        match read_time(line) {
-            Some(time) => {
-                if let Some((_, last)) = times.last_key_value().filter(|(_, last)| **last >= time && !disordered) {
-                    disordered = true;
-                    let found = format!("{time} after {last}");
-                    problems
-                        .push(Error::malformed(path, Place::Line(number + 1), found, "increasing times").to_string());
-                }
-                times.insert(frame_of[index], time);
-            }
-            None => {
-                let expected = "a time like 2011-09-30 12:40:59.409, or seconds";
-                problems.push(Error::malformed(path, Place::Line(number + 1), excerpt(line), expected).to_string());
-            }
-        }
-    }
-    times
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_times_of_a_cut_drive_are_those_of_its_frames() {
-        let frames = |range: std::ops::Range<usize>| range.map(|frame| (frame, PathBuf::new())).collect::<FrameFiles>();
-        let text = "# times\n2011-09-30 12:40:59.000000001\n\n1317386459.1\nyesterday\n";
-        let read = |frames| {
-            let mut problems = Vec::new();
-            let times = parse_times(text, Path::new("timestamps.txt"), &frames, &mut problems);
-            (times.into_keys().collect::<Vec<_>>(), problems)
-        };
-        assert_eq!((read(frames(0..4)).0, read(frames(10..14)).0), (vec![0, 2], vec![10, 12]));
-        let (known, problems) = read(frames(10..99));
-        assert_eq!(known, [0, 2]);
-        assert_eq!(problems[0], "timestamps.txt: found 4 lines; expected a time for each frame to 98");
-        assert_eq!(
-            problems[1..],
-            ["timestamps.txt, line 5: found `yesterday`; expected a time like 2011-09-30 12:40:59.409, or seconds"]
-        );
-    }
 }

@@ -16,6 +16,7 @@ mod manifest;
 mod oxts;
 mod pairing;
 mod reader;
+mod times;
 
 pub(crate) use self::image::decode;
 pub use self::image::{RgbImage, decode_image, read_image};
