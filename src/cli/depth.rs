@@ -14,8 +14,9 @@ use crate::config::{Config, DepthConfig};
 use crate::data::{Dataset, Pair, PairScope};
 use crate::depth::{DepthCache, DepthEstimator, DepthJudge, DepthScores, FrameId, Present, ScaleRule, precompute};
 use crate::device::{device_name, open_device};
+use crate::error::Error;
 use crate::evaluation::{SourceScores, compare_depth_sources};
-use crate::files::write_atomically;
+use crate::files::{DEPTH_SLOTS, require_slots, write_atomically};
 use crate::report::{CONTACT_SHEET_COLUMNS, SheetRow, contact_sheet};
 
 /// Arguments of `relcov depth`.
@@ -55,6 +56,10 @@ pub struct DepthArguments {
 }
 
 pub fn run(arguments: &DepthArguments, terminal: &Terminal) -> anyhow::Result<()> {
+    if let Some(truth) = &arguments.truth {
+        let problem = |problem| Error::Data(format!("--truth {truth}: {problem}"));
+        require_slots(truth.as_ref(), &DEPTH_SLOTS).map_err(problem)?;
+    }
     arguments.contact_sheet.as_deref().map_or(Ok(()), require_png)?;
     let config = arguments.overrides.load(&arguments.config)?;
     if arguments.evaluate {

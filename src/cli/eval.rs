@@ -82,8 +82,9 @@ pub fn run(arguments: EvalArguments, terminal: &Terminal) -> anyhow::Result<()> 
     {
         note(false, "warning: --fit: baselines that are fitted to what they are judged on are too good");
     }
-    let read: Vec<&Path> =
-        [&arguments.pairs, &arguments.fit, &arguments.config].into_iter().filter_map(|path| path.as_deref()).collect();
+    let run = arguments.run.as_deref().map_or(Vec::new(), |run| RunFolder::at(run).files());
+    let named = [&arguments.pairs, &arguments.fit, &arguments.config].into_iter().filter_map(|path| path.as_deref());
+    let read: Vec<&Path> = named.chain(run.iter().map(PathBuf::as_path)).collect();
     arguments.output.require_apart(&read)?;
     let Overrides { set, device } = &arguments.overrides;
     if arguments.pairs.is_some() && !(set.is_empty() && device.is_none()) {

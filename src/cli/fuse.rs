@@ -15,7 +15,7 @@ use super::{Overrides, SplitArgument, Terminal, print_result};
 use crate::error::{Error, Result};
 use crate::evaluation::Method;
 use crate::export::fused_trajectory;
-use crate::files::{extension, fill_template, read_text, write_atomically};
+use crate::files::{extension, fill_template, read_text, require_slots, write_atomically};
 use crate::fusion::{DEVIATIONS, Fix, FusedTrajectory, Odometry, SimulatedFixes, TrajectoryScores, fuse, parse_fixes};
 use crate::report::figures::{DrawnTrajectory, FusedDrive, draw_fusion, to_png};
 use crate::report::{FusionRow, TableFormat, fusion_table};
@@ -142,6 +142,10 @@ fn fuse_drives(arguments: &FuseArguments, terminal: &Terminal) -> anyhow::Result
     note(terminal.quiet, &format!("fusing {}", names.join(" + ")));
 
     let drives: Vec<usize> = drives_of(&measured.dataset, &systems);
+    if let Some(fixes) = &arguments.fixes {
+        let problem = |problem| Error::Data(format!("--fixes {}: {problem}", fixes.display()));
+        require_slots(fixes, &["{drive}"]).map_err(problem)?;
+    }
     if let Some(fixes) = arguments.fixes.as_deref().filter(|_| drives.len() > 1) {
         let problem = "one file of fixes for several drives; name it by {drive}";
         anyhow::ensure!(fixes.to_string_lossy().contains("{drive}"), "--fixes {}: {problem}", fixes.display());

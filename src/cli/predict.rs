@@ -20,6 +20,7 @@ use crate::error::{Error, Result};
 use crate::export::{ExportOptions, Format, G2oRotation, MeasuredMotions, Perturbation, Poses, TrajectoryCovariance};
 use crate::network::Head;
 use crate::predict::Model;
+use crate::systems::measurement_file;
 use crate::training::{Manifest, RunFolder};
 use inputs::{lenient, of_drive, of_manifest, with_system};
 use sink::Sink;
@@ -178,6 +179,11 @@ impl PredictArguments {
 
 pub fn run(arguments: &PredictArguments, terminal: &Terminal) -> anyhow::Result<()> {
     arguments.format.check(&arguments.options())?;
+    if arguments.measurement_frame.is_some() && arguments.drive.is_none() && arguments.manifest.is_none() {
+        let problem =
+            "--measurement-frame is for --drive and --manifest; a configuration says the frame of each system";
+        return Err(Error::Data(problem.to_owned()).into());
+    }
     arguments.overrides.refuse_model_keys()?;
     let run = RunFolder::open(&arguments.run)?;
     let manifest = run.manifest()?;
@@ -208,7 +214,7 @@ pub fn run(arguments: &PredictArguments, terminal: &Terminal) -> anyhow::Result<
     let pairs = dataset.require(split)?;
     let owners: BTreeSet<(usize, usize)> = pairs.pairs.iter().map(|pair| (pair.system, pair.id.drive)).collect();
     let names = |&(system, drive): &(usize, usize)| (&*dataset.systems[system], &*dataset.drives[drive].name);
-    let sink = Sink::new(arguments, owners.iter().map(names))?;
+    let sink = Sink::new(arguments, &files_read(arguments, &config, &dataset), owners.iter().map(names))?;
     let frame = arguments.frame.map(FrameArgument::frame).or(arguments.format.usual_frame());
     let frame = frame.unwrap_or(model.error_frame());
     arguments.format.check_frame(frame)?;
@@ -229,6 +235,16 @@ pub fn run(arguments: &PredictArguments, terminal: &Terminal) -> anyhow::Result<
     let (gaps, verdicts) = (describe_gaps(&dataset, pairs, count), describe_verdicts(&predicted, arguments.poses()));
     note(terminal.quiet, &format!("{count} covariances, {rate:.1} a second{gaps}{verdicts}"));
     Ok(())
+}
+
+/// All that predictions are made of.
+fn files_read(arguments: &PredictArguments, config: &Config, dataset: &Dataset) -> Vec<PathBuf> {
+    let named = [&arguments.measurements, &arguments.manifest, &arguments.config].into_iter().flatten().cloned();
+    let measured = dataset.drives.iter().flat_map(|drive| {
+        config.systems.iter().filter_map(|system| measurement_file(system, drive, &config.data.root))
+    });
+    let recorded = dataset.drives.iter().flat_map(|drive| drive.files(&config.data.root));
+    named.chain(RunFolder::at(&arguments.run).files()).chain(measured).chain(recorded).collect()
 }
 
 /// Says what stands in place of times that are not known, in formats that have them.

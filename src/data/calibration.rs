@@ -34,14 +34,16 @@ pub struct Calibration {
 }
 
 impl Calibration {
+    /// The files of a date folder.
+    pub(super) const FILES: [&str; 3] = ["calib_cam_to_cam.txt", "calib_velo_to_cam.txt", "calib_imu_to_velo.txt"];
+
     /// Reads the three files of a date folder.
     ///
     /// # Errors
     /// A file or key is missing, a line is short or not numeric, or a matrix is not a rotation.
     pub fn load(date_folder: &Path) -> Result<Self> {
-        let cameras = KeyedLines::load(date_folder.join("calib_cam_to_cam.txt"))?;
-        let velodyne = KeyedLines::load(date_folder.join("calib_velo_to_cam.txt"))?;
-        let imu = KeyedLines::load(date_folder.join("calib_imu_to_velo.txt"))?;
+        let [cameras, velodyne, imu] = Self::FILES.map(|name| KeyedLines::load(date_folder.join(name)));
+        let (cameras, velodyne, imu) = (cameras?, velodyne?, imu?);
 
         let (camera2, camera2_from_camera0) = cameras.camera(2)?;
         let right = cameras.lines.contains_key("P_rect_03").then(|| cameras.camera(3)).transpose()?;

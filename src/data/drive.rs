@@ -149,6 +149,18 @@ impl Drive {
         [self.calibration.camera2.width, self.calibration.camera2.height]
     }
 
+    /// The files it was read from, and is to be read from.
+    pub(crate) fn files(&self, root: &Path) -> Vec<PathBuf> {
+        let listed = self.listed.iter().flat_map(|listed| listed.depth.values());
+        let frames = [&self.images, &self.right_images, &self.scans].into_iter().flat_map(BTreeMap::values);
+        let date = root.join(self.date());
+        let folder = date.join(&self.name);
+        let calibration = Calibration::FILES.map(|name| date.join(name));
+        let times = ["image_02/timestamps.txt", "oxts/timestamps.txt"].map(|name| folder.join(name));
+        let packets = self.oxts_poses.keys().map(|frame| folder.join(format!("oxts/data/{frame:010}.txt")));
+        frames.chain(listed).cloned().chain(calibration).chain(times).chain(packets).collect()
+    }
+
     /// The recording date, `2011_09_30`; of a manifest's sequence, its name.
     pub fn date(&self) -> &str {
         if self.listed.is_some() { &self.name } else { &self.name[..10] }

@@ -171,6 +171,15 @@ pub(super) fn load_trajectory(config: &TrajectoryConfig, drive: &Drive, root: &P
     Ok(Some(trajectory))
 }
 
+/// The file of a system's measurements on a drive, where it has one.
+pub(crate) fn measurement_file(system: &SystemConfig, drive: &Drive, root: &Path) -> Option<PathBuf> {
+    match &system.source {
+        SystemSource::Trajectory(config) => Some(expand(&config.path, drive, root)),
+        SystemSource::Relative(config) => Some(expand(&config.path, drive, root)),
+        _ => None,
+    }
+}
+
 fn expand(template: &Path, drive: &Drive, root: &Path) -> PathBuf {
     let sequence = odometry_sequence(drive.short_name()).map_or("none", |sequence| sequence.number);
     let slots = [("{drive}", drive.short_name()), ("{date}", drive.date()), (SEQUENCE, sequence)];

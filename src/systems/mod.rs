@@ -16,6 +16,7 @@ mod truth;
 
 pub use chain::chain_poses;
 pub(crate) use frames::{Joined, frames_of_rows};
+pub(crate) use measurements::measurement_file;
 pub use measurements::{Measurements, load_measurements};
 pub use mixing::{BatchPlan, Mixer, PlannedPair};
 pub use perturbation::Perturbation;

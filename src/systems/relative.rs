@@ -66,7 +66,9 @@ impl Statement {
             };
             match Self::parse(&remark.replace('"', "")) {
                 Some(said) => return Ok(said),
-                None if remark.to_ascii_lowercase().contains("perturbation right") => return Err(unclear()),
+                None if ["perturbation", "right"].iter().all(|word| remark.to_ascii_lowercase().contains(word)) => {
+                    return Err(unclear());
+                }
                 None => {}
             }
         }
@@ -271,7 +273,11 @@ mod tests {
         ] {
             assert_eq!(read(text).unwrap(), Statement { frame, side }, "{text}");
         }
-        for text in ["# frame camera0, perturbation right\n", "\n# covariances: Perturbation Right\n"] {
+        for text in [
+            "# frame camera0, perturbation right\n",
+            "\n# covariances: Perturbation Right\n",
+            "# of the right perturbation\n",
+        ] {
             let message = read(text).unwrap_err().to_string();
             assert!(message.contains("expected `# frame vehicle, perturbation right`"), "{message}");
         }

@@ -316,7 +316,11 @@ impl RunFolder {
 }
 
 fn remove(path: &Path) -> Result<()> {
-    std::fs::remove_file(path).map_err(Error::io("remove", path))
+    match std::fs::remove_file(path) {
+        // Somebody else was quicker.
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
+        removed => removed.map_err(Error::io("remove", path)),
+    }
 }
 
 fn json(conventions: &Conventions) -> String {

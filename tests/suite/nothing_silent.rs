@@ -113,6 +113,18 @@ fn what_is_read_is_never_written_over() {
     std::fs::copy(world.manifest(), &manifest).unwrap();
     kept(&measured, &mut world.predict(&["--drive", &drive, "--measurements", &measured, "--out", &measured]));
     kept(&manifest, &mut world.predict(&["--manifest", &manifest, "--out", &manifest]));
+    // Below, files are copies: what is not refused is destroyed.
+    let own = tempfile::tempdir().unwrap();
+    write_drive(own.path(), 6);
+    let date = own.path().join("2020_01_01");
+    let (own_drive, own_vo) = (date.join(DRIVE), own.path().join("vo/2020_01_01_drive_0001.txt"));
+    for file in ["image_02/data/0000000003.png", "oxts/data/0000000000.txt", "../calib_cam_to_cam.txt"] {
+        let file = text(&own_drive.join(file));
+        kept(
+            &file,
+            world.predict(&["--drive", &text(&own_drive), "--measurements", &text(&own_vo)]).args(["--out", &file]),
+        );
+    }
     let model = text(&world.path().join("runs/tiny/manifest.json"));
     kept(&model, &mut world.predict(&["--system", "vo", "--out", &model]));
     let odometry = folder.path().join("vo.csv");
@@ -124,6 +136,8 @@ fn what_is_read_is_never_written_over() {
     let eval = ["eval", "--error-frame", "vehicle", "--pairs"];
     kept(&text(&pairs), relcov().args(eval).arg(&pairs).arg("--save-table").arg(&pairs));
     relcov().args(eval).arg(&pairs).arg("--fit").arg(&pairs).assert().success().stderr(contains("judged on"));
+    let run = text(&world.path().join("runs/tiny"));
+    kept(&model, relcov().args(["eval", "--run", &run, "--save-results", &model]));
     let config = write_config(folder.path(), world.path());
     kept(&text(&config), relcov().args(["inspect", "--config"]).arg(&config).arg("--contact-sheet").arg(&config));
     let result = text(&world.path().join("runs/tiny/evaluation.json"));

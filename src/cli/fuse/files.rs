@@ -11,7 +11,7 @@ use crate::cli::progress::note;
 use crate::cli::{Terminal, print_result};
 use crate::error::{Error, Result};
 use crate::export::fused_trajectory;
-use crate::files::{read_text, require_apart, write_atomically};
+use crate::files::{read_text, require_apart, require_slots, write_atomically};
 use crate::fusion::{Odometry, SimulatedFixes, TrajectoryScores, fuse, parse_fixes};
 use crate::geometry::{Covariance6, ErrorFrame, Tangent};
 use crate::report::{FusionRow, fusion_table};
@@ -33,6 +33,9 @@ pub(super) fn fuse_files(arguments: &FuseArguments, terminal: &Terminal) -> anyh
         }
     }
     if let Some(out) = &arguments.out {
+        require_slots(out, &[]).map_err(|_| {
+            Error::Data(format!("--out {}: --odometry gives one trajectory, so nothing fills a slot", out.display()))
+        })?;
         let odometry = arguments.odometry.iter().filter_map(|text| Some(Path::new(text.split_once('=')?.1)));
         let others = [&arguments.truth, &arguments.fixes].into_iter().filter_map(|path| path.as_deref());
         require_apart(out, &odometry.chain(others).collect::<Vec<_>>())?;

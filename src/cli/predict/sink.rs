@@ -10,7 +10,6 @@ use crate::cli::{Terminal, print_result};
 use crate::error::Error;
 use crate::export::{Format, MeasuredMotions};
 use crate::files::{fill_template, require_apart, require_no_folder, require_slots, write_atomically};
-use crate::training::RunFolder;
 
 /// What stands for names in `--out`.
 const SLOTS: [&str; 2] = ["{system}", "{drive}"];
@@ -21,9 +20,11 @@ pub(super) struct Sink<'a> {
 }
 
 impl<'a> Sink<'a> {
-    /// Finds out before the work whether the trajectories of these systems and drives can be written.
+    /// Finds out before the work whether the trajectories of these systems and drives can be written, and over no file
+    /// that is read.
     pub(super) fn new<'b>(
         arguments: &'a PredictArguments,
+        read: &[PathBuf],
         trajectories: impl Iterator<Item = (&'b str, &'b str)>,
     ) -> anyhow::Result<Self> {
         let sink = Self { arguments };
@@ -41,12 +42,7 @@ impl<'a> Sink<'a> {
             ))
             .into());
         }
-        let read: Vec<&Path> = [&arguments.measurements, &arguments.manifest, &arguments.config]
-            .into_iter()
-            .filter_map(|path| path.as_deref())
-            .collect();
-        let run = RunFolder::at(&arguments.run).files();
-        let read: Vec<&Path> = read.into_iter().chain(run.iter().map(PathBuf::as_path)).collect();
+        let read: Vec<&Path> = read.iter().map(PathBuf::as_path).collect();
         owners.keys().flatten().try_for_each(|path| {
             require_no_folder(path)?;
             require_apart(path, &read)
