@@ -16,7 +16,6 @@ use burn::optim::{GradientsParams, ModuleOptimizer};
 use burn::tensor::{Device, Distribution, Tensor, TensorData};
 use rayon::prelude::*;
 use relcov::alignment::align;
-use relcov::data::decode_image;
 use relcov::depth::ground_plane_depth;
 use relcov::depth::monodepth2::Monodepth2;
 use relcov::device::open_device;
@@ -24,6 +23,7 @@ use relcov::geometry::{ErrorFrame, Pinhole, Pose, Tangent};
 use relcov::kernels::Adam;
 use relcov::model::Architecture;
 use relcov::network::{CovarianceNetworkConfig, Head, ImageNetwork, NetworkInput};
+use relcov::recordings::decode_image;
 use relcov::warp::Warp;
 use relcov::{Measurement, Model};
 

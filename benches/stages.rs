@@ -15,11 +15,12 @@ use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_m
 use rayon::prelude::*;
 use relcov::alignment::align;
 use relcov::config::Config;
-use relcov::data::{Dataset, PairBatch, PairReader, PairSample, PairScope, RgbImage, SplitName, read_image};
 use relcov::depth::ground_plane_depth;
 use relcov::geometry::{Pinhole, Pose, Tangent};
 use relcov::kernels::Adam;
 use relcov::model::{Architecture, CovarianceModel, InputBasis, MicroBatch};
+use relcov::pairs::{Dataset, PairBatch, PairReader, PairSample, PairScope, SplitName};
+use relcov::recordings::{RgbImage, read_image};
 use relcov::synthetic::{Replace, SyntheticSettings, record};
 use relcov::training::{Event, Learner};
 use relcov::warp::Warp;
@@ -162,7 +163,7 @@ fn trained_run(folder: &Path, (width, height): (usize, usize)) -> Option<PathBuf
         "training.micro_batch=4".to_owned(),
     ];
     let config = Config::load("configs/kitti_sample.toml".as_ref(), &settings).expect("a shipped configuration");
-    let Ok(dataset) = Dataset::load(&config, PairScope::Images) else {
+    let Ok(dataset) = Dataset::load(&config.pairs(), PairScope::Images) else {
         eprintln!("skipped: load (no data at {})", config.data.root.display());
         return None;
     };
@@ -240,7 +241,7 @@ fn training_loop(criterion: &mut Criterion) {
         "training.batches_per_epoch=1000000".to_owned(),
     ];
     let config = Config::load("configs/kitti_sample.toml".as_ref(), &settings).expect("a shipped configuration");
-    let Ok(dataset) = Dataset::load(&config, PairScope::Images) else {
+    let Ok(dataset) = Dataset::load(&config.pairs(), PairScope::Images) else {
         eprintln!("skipped: training loop (no data at {})", config.data.root.display());
         return;
     };
@@ -249,7 +250,7 @@ fn training_loop(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("training loop");
     group.sample_size(10).measurement_time(Duration::from_secs(60)).throughput(Throughput::Elements(pairs));
 
-    let reader = PairReader::new(&config, &dataset, SplitName::Train);
+    let reader = PairReader::new(&config.pairs(), &dataset, SplitName::Train);
     let samples: Vec<PairSample> = dataset.train.pairs[..config.training.micro_batch]
         .iter()
         .map(|pair| reader.read(pair).expect("readable").expect("readable"))

@@ -6,9 +6,10 @@ use std::path::Path;
 use std::sync::Arc;
 
 use relcov::config::Config;
-use relcov::data::{Dataset, Manifest, PairScope, SplitName};
 use relcov::device::open_device;
 use relcov::export::{ExportOptions, Format};
+use relcov::pairs::{Dataset, PairScope, SplitName};
+use relcov::recordings::Manifest;
 use relcov::training::Learner;
 use relcov::{Model, geometry::ErrorFrame};
 
@@ -43,7 +44,7 @@ fn main() -> anyhow::Result<()> {
 
     let config = Config::load(&path, &[])?;
     let device = open_device(&config.device)?;
-    let dataset = Arc::new(Dataset::load(&config, PairScope::Images)?);
+    let dataset = Arc::new(Dataset::load(&config.pairs(), PairScope::Images)?);
     let mut learner = Learner::start(config.clone(), dataset.clone(), &device, true)?;
     learner.train(&mut |_| {})?;
 

@@ -1,9 +1,9 @@
 //! Covariance of one measurement by a trained model:
 //! `cargo run --release --example predict_pair -- RUN FRAME0.png FRAME1.png FORWARD_M`
 
-use relcov::data::read_image;
 use relcov::depth::ground_plane_depth;
 use relcov::geometry::{Pinhole, Pose, Tangent};
+use relcov::recordings::read_image;
 use relcov::{Measurement, Model, device::open_device};
 
 fn main() -> anyhow::Result<()> {

@@ -21,15 +21,14 @@
 //! | read the method | [`model`], [`warp`], [`network`], [`loss`] |
 //! | know why it is fast | [`kernels`] |
 //!
-//! Data flow one way: [`data`] (with [`systems`], [`depth`] and [`alignment`]) → [`warp`] → [`network`] → [`loss`] →
-//! [`training`] → [`evaluation`] → [`report`]; a trained [`Model`] → [`export`], [`fusion`]. Two worlds meet at two doors: [`data::PairBatch`] takes
+//! Data flow one way: [`recordings`] → [`pairs`] (with [`systems`], [`depth`] and [`alignment`]) → [`warp`] → [`network`] → [`loss`] →
+//! [`training`] (by its [`schedule`]) → [`evaluation`] → [`report`]; a trained [`Model`] → [`export`], [`fusion`]. Two worlds meet at two doors: [`pairs::PairBatch`] takes
 //! f64 poses to f32 tensors, [`evaluation`] and [`Model::predict`] bring numbers back.
 #![warn(missing_docs)]
 #![deny(unsafe_code)]
 
 pub mod alignment;
 pub mod config;
-pub mod data;
 pub mod depth;
 pub mod device;
 pub mod error;
@@ -42,8 +41,11 @@ pub mod kernels;
 pub mod loss;
 pub mod model;
 pub mod network;
+pub mod pairs;
 mod predict;
+pub mod recordings;
 pub mod report;
+pub mod schedule;
 pub mod synthetic;
 pub mod systems;
 pub mod time;

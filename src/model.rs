@@ -3,6 +3,7 @@
 //! posterior of the error itself.
 
 mod input;
+mod settings;
 
 use burn::module::{Module, Param};
 use burn::optim::GradientsParams;
@@ -10,17 +11,18 @@ use burn::tensor::{Device, Tensor};
 use nalgebra::Matrix6;
 use serde::{Deserialize, Serialize};
 
-use crate::alignment::{Evidence, FEATURES, NoVerdict};
-use crate::data::PairBatch;
+use crate::alignment::{Evidence, EvidenceInput, FEATURES, NoVerdict};
 use crate::error::{Error, Result};
 use crate::geometry::{Covariance6, Posterior, Tangent};
 use crate::loss::{floored, gaussian_loss, posterior_loss};
 use crate::network::{
     CovarianceNetwork, CovarianceNetworkConfig, EvidenceTensors, Head, ImageNetwork, PosteriorTensors, posterior,
 };
+use crate::pairs::PairBatch;
 use crate::warp::Warp;
 
-pub use input::{EvidenceInput, ImagePair, InputBasis, PoseInput};
+pub use input::{ImagePair, InputBasis, PoseInput};
+pub use settings::{MinLogVariance, ModelConfig};
 
 /// Components of a pose error.
 const COMPONENTS: usize = 6;

@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 
 use relcov::alignment::{AlignmentInput, GreyImage};
 use relcov::config::Config;
-use relcov::data::{Dataset, PairReader, PairSample, PairScope, RgbImage, SplitName};
 use relcov::geometry::Pose;
+use relcov::pairs::{Dataset, PairReader, PairSample, PairScope, SplitName};
+use relcov::recordings::RgbImage;
 use relcov::synthetic::{Replace, record};
 
 const DRIVE: &str = "2026_01_01_drive_0001_sync";
@@ -42,11 +43,11 @@ impl RenderedPair {
         let config = Config::load("configs/synthetic.toml".as_ref(), &settings).expect("a shipped configuration");
         let synthetic = config.data.synthetic.as_ref().expect("a rendered data set");
         record(folder, synthetic, Replace::Never, &mut |_| Ok(())).expect("rendered");
-        let dataset = Dataset::load(&config, PairScope::Images).expect("a drive just rendered");
+        let dataset = Dataset::load(&config.pairs(), PairScope::Images).expect("a drive just rendered");
         let mut measured: Vec<_> = dataset.train.pairs_of(0).iter().collect();
         measured.sort_by(|a, b| a.error.norm().total_cmp(&b.error.norm()));
         let pair = measured[measured.len() / 2];
-        let reader = PairReader::new(&config, &dataset, SplitName::Train);
+        let reader = PairReader::new(&config.pairs(), &dataset, SplitName::Train);
         let sample = reader.read(pair).expect("readable").expect("readable");
         let grey = |image: &RgbImage| GreyImage::from_rgb(image.width, image.height, &image.bytes);
         let file =

@@ -7,9 +7,9 @@ use std::path::PathBuf;
 use nalgebra::{Matrix3, SMatrix, Vector3};
 use pyo3::exceptions::{PyOSError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
-use relcov::data::RgbImage;
 use relcov::depth::{DepthMap, LiveDepth};
 use relcov::geometry::{Pinhole, Pose};
+use relcov::recordings::RgbImage;
 use relcov::{Error, Judgement, Measurement, RightView};
 
 /// As the program's: training frees and takes the same large buffers in every step.

@@ -11,6 +11,7 @@ mod evidence;
 mod features;
 mod gauss_newton;
 mod image;
+mod input;
 #[cfg(test)]
 mod laws;
 mod normal_equations;
@@ -20,3 +21,4 @@ pub use evidence::{Evidence, LEVELS, LevelEvidence, NoVerdict};
 pub use features::{FEATURES, features};
 pub use gauss_newton::{AlignmentInput, align};
 pub use image::GreyImage;
+pub use input::EvidenceInput;

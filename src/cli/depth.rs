@@ -10,13 +10,15 @@ use comfy_table::{CellAlignment, Table, presets};
 use super::output::require_png;
 use super::progress::{Progress, note};
 use super::{Overrides, Terminal, print_result, synth};
-use crate::config::{Config, DepthConfig};
-use crate::data::{Dataset, Pair, PairScope};
-use crate::depth::{DepthCache, DepthEstimator, DepthJudge, DepthScores, FrameId, Present, ScaleRule, precompute};
+use crate::config::Config;
+use crate::depth::{
+    DepthCache, DepthConfig, DepthEstimator, DepthJudge, DepthScores, FrameId, Present, ScaleRule, precompute,
+};
 use crate::device::{device_name, open_device};
 use crate::error::Error;
 use crate::evaluation::{SourceScores, compare_depth_sources};
 use crate::files::{DEPTH_SLOTS, require_slots, write_atomically};
+use crate::pairs::{Dataset, Pair, PairScope};
 use crate::report::{CONTACT_SHEET_COLUMNS, SheetRow, contact_sheet};
 
 /// Arguments of `relcov depth`.
@@ -133,7 +135,7 @@ fn describe(cache: &DepthCache, summary: &crate::depth::PrecomputeSummary, scale
 fn every_image_pair(config: &Config) -> anyhow::Result<Dataset> {
     let mut config = config.with_truth_alone();
     config.data.validation_fraction = 0.0;
-    Ok(Dataset::load(&config, PairScope::Images)?)
+    Ok(Dataset::load(&config.pairs(), PairScope::Images)?)
 }
 
 /// Target frames of all pairs, each once, drive by drive.
@@ -144,8 +146,14 @@ fn target_frames(dataset: &Dataset) -> Vec<FrameId> {
 }
 
 fn evaluate(config: &Config, truth: Option<&str>, terminal: &Terminal) -> anyhow::Result<()> {
-    let dataset = Dataset::load(config, PairScope::Images)?;
-    let judge = DepthJudge::new(config, truth);
+    let dataset = Dataset::load(&config.pairs(), PairScope::Images)?;
+    let judge = DepthJudge::new(
+        &config.depth,
+        truth,
+        &config.data.root,
+        [config.model.width, config.model.height],
+        config.data.max_bad_fraction,
+    );
     let mut progress: Option<Progress> = None;
     let frames = target_frames(&dataset);
     let judged = judge.scores(&dataset.drives, &frames, &mut |done| {

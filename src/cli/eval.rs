@@ -10,7 +10,6 @@ use super::output::OutputArguments;
 use super::progress::{Progress, note};
 use super::{FrameArgument, Overrides, SplitArgument, Terminal, synth};
 use crate::config::Config;
-use crate::data::{BadFrame, Dataset, PairReader, PairScope, SplitName};
 use crate::device::{device_name, open_device};
 use crate::error::{Error, Place};
 use crate::evaluation::{
@@ -20,6 +19,7 @@ use crate::evaluation::{
 use crate::files::{own_name, require_apart};
 use crate::geometry::{Conventions, ErrorFrame};
 use crate::model::CovarianceModel;
+use crate::pairs::{BadFrame, Dataset, PairReader, PairScope, SplitName};
 use crate::report::figures::write_figures;
 use crate::report::{Comparison, Entry};
 use crate::training::{EVALUATION, FIGURES, Manifest, PAIRS, RunFolder};
@@ -204,20 +204,28 @@ pub fn predict_table(
     let device = open_device(&config.device)?;
     let model = run.load_model(manifest, &device)?;
     synth::make_if_asked(config, terminal)?;
-    let dataset = Dataset::load(config, PairScope::Images)?;
+    let dataset = Dataset::load(&config.pairs(), PairScope::Images)?;
     let predict = |split: SplitName, reader: &Arc<PairReader>| -> Result<Vec<Prediction>, Error> {
         let pairs = dataset.require(split)?;
         let mut progress = Progress::new(terminal.quiet, "evaluating", 0, pairs.pairs.len());
-        predict_split(&model, reader, pairs, manifest.architecture.images(), &config.training, &device, &mut |done| {
-            progress.set(done, "pairs");
-            Ok(())
-        })
+        predict_split(
+            &model,
+            reader,
+            pairs,
+            manifest.architecture.images(),
+            &config.training.loading(),
+            &device,
+            &mut |done| {
+                progress.set(done, "pairs");
+                Ok(())
+            },
+        )
     };
     dataset.require(split)?;
     let recalibration = match recalibrate {
         Recalibrate::AsStored => run.recalibration()?,
         Recalibrate::Anew => {
-            let reader = Arc::new(PairReader::new(config, &dataset, SplitName::Validation));
+            let reader = Arc::new(PairReader::new(&config.pairs(), &dataset, SplitName::Validation));
             let predictions = predict(SplitName::Validation, &reader)?;
             let learned = learned_systems(manifest);
             let fitted = Recalibration::fit(&predictions, &dataset.systems, &learned, SplitName::Validation.name());
@@ -227,7 +235,7 @@ pub fn predict_table(
             Some(fitted)
         }
     };
-    let reader = Arc::new(PairReader::new(config, &dataset, split));
+    let reader = Arc::new(PairReader::new(&config.pairs(), &dataset, split));
     let mut predictions = predict(split, &reader)?;
     if let Some(recalibration) = &recalibration {
         predictions.iter_mut().for_each(|row| recalibration.apply_to(&mut row.covariance, &mut row.posterior));
@@ -294,7 +302,7 @@ pub fn fit_baselines(config: &Config, split: SplitName) -> Result<(Dataset, Vec<
         // A baseline has no epochs to choose from: it learns from what a training would hold out.
         config.data.validation_fraction = 0.0;
     }
-    let dataset = Dataset::load(&config, PairScope::Poses)?;
+    let dataset = Dataset::load(&config.pairs(), PairScope::Poses)?;
     dataset.require(SplitName::Train)?;
     let fitted = baselines_of(&dataset);
     Ok((dataset, fitted))

@@ -17,9 +17,9 @@ use crate::evaluation::Method;
 use crate::export::fused_trajectory;
 use crate::files::{extension, fill_template, read_text, require_slots, write_atomically};
 use crate::fusion::{DEVIATIONS, Fix, FusedTrajectory, Odometry, SimulatedFixes, TrajectoryScores, fuse, parse_fixes};
+use crate::recordings::Trajectory;
 use crate::report::figures::{DrawnTrajectory, FusedDrive, draw_fusion, to_png};
 use crate::report::{FusionRow, TableFormat, fusion_table};
-use crate::systems::Trajectory;
 use files::fuse_files;
 use measured::{available, chosen_systems, drives_of, odometry_of, predicted, true_trajectory, without_model};
 

@@ -8,13 +8,13 @@ use comfy_table::{CellAlignment, Table, presets};
 
 use super::output::require_png;
 use super::print_result;
-use crate::config::{Config, DepthConfig};
-use crate::data::{Coverage, Dataset, Pair, PairId, PairReader, PairSample, PairScope, SplitName};
-use crate::depth::DepthCache;
+use crate::config::Config;
+use crate::depth::{DepthCache, DepthConfig};
 use crate::device::open_device;
 use crate::evaluation::warp_pair;
 use crate::files::write_atomically;
 use crate::geometry::Pose;
+use crate::pairs::{Coverage, Dataset, Pair, PairId, PairReader, PairSample, PairScope, SplitName};
 use crate::report::{CONTACT_SHEET_COLUMNS, SheetRow, contact_sheet};
 use crate::synthetic::is_rendered;
 
@@ -57,7 +57,7 @@ pub fn run(arguments: &InspectArguments) -> anyhow::Result<()> {
         );
     }
     let (found, depth_problem) = with_maps_that_are_there(&config);
-    let dataset = Dataset::load(&found, PairScope::Images)?;
+    let dataset = Dataset::load(&found.pairs(), PairScope::Images)?;
     print_result(&describe(&config, &dataset, depth_problem))?;
     match &arguments.contact_sheet {
         Some(path) => draw_contact_sheet(path, usize::from(arguments.pairs), &found, &dataset),
@@ -71,7 +71,7 @@ fn draw_contact_sheet(path: &Path, pairs: usize, config: &Config, dataset: &Data
     let mut measured: BTreeMap<PairId, Vec<&Pair>> = BTreeMap::new();
     splits.iter().flat_map(|split| &split.pairs).for_each(|pair| measured.entry(pair.id).or_default().push(pair));
     anyhow::ensure!(!measured.is_empty(), "no pair has images and depth: there is nothing to draw");
-    let reader = PairReader::new(config, dataset, SplitName::Test);
+    let reader = PairReader::new(&config.pairs(), dataset, SplitName::Test);
     let device = open_device(&config.device)?;
     let (mut rows, mut legend) = (Vec::new(), String::new());
     let count = measured.len();

@@ -24,11 +24,12 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, CommandFactory, Parser, Subcommand, ValueEnum};
 
-use crate::config::{Config, MinLogVariance, ModelConfig};
-use crate::data::SplitName;
+use crate::config::Config;
 use crate::device::DEVICE_NAMES;
 use crate::error::Error;
 use crate::geometry::ErrorFrame;
+use crate::model::{MinLogVariance, ModelConfig};
+use crate::pairs::SplitName;
 use crate::training::{Manifest, RunFolder};
 
 /// Exit codes.

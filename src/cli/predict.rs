@@ -6,20 +6,21 @@ mod stream;
 mod verdicts;
 
 use std::collections::BTreeSet;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{ArgGroup, Args, ValueEnum};
 
 use super::progress::{Progress, note};
 use super::{FrameArgument, Overrides, SplitArgument, Terminal, synth};
-use crate::config::{Config, DepthConfig, MeasurementFrame};
-use crate::data::{Dataset, Drive, PairScope, Split, SplitName};
-use crate::depth::{DepthCache, DepthEstimator, Present, precompute};
+use crate::config::Config;
+use crate::depth::{DepthCache, DepthConfig, DepthEstimator, Present, precompute};
 use crate::device::{device_name, open_device};
 use crate::error::{Error, Result};
 use crate::export::{ExportOptions, Format, G2oRotation, MeasuredMotions, Perturbation, Poses, TrajectoryCovariance};
 use crate::network::Head;
+use crate::pairs::{Dataset, PairScope, Split, SplitName};
 use crate::predict::Model;
+use crate::recordings::MeasurementFrame;
 use crate::systems::measurement_file;
 use crate::training::{Manifest, RunFolder};
 use inputs::{lenient, of_drive, of_manifest, with_system};
@@ -210,7 +211,7 @@ pub fn run(arguments: &PredictArguments, terminal: &Terminal) -> anyhow::Result<
     };
     let config = with_system(arguments, config)?;
     make_depth_maps(&config, split, &device, terminal)?;
-    let dataset = Dataset::load(&config, PairScope::Measured)?;
+    let dataset = Dataset::load(&config.pairs(), PairScope::Measured)?;
     let pairs = dataset.require(split)?;
     let owners: BTreeSet<(usize, usize)> = pairs.pairs.iter().map(|pair| (pair.system, pair.id.drive)).collect();
     let names = |&(system, drive): &(usize, usize)| (&*dataset.systems[system], &*dataset.drives[drive].name);
@@ -243,7 +244,7 @@ fn files_read(arguments: &PredictArguments, config: &Config, dataset: &Dataset) 
     let measured = dataset.drives.iter().flat_map(|drive| {
         config.systems.iter().filter_map(|system| measurement_file(system, drive, &config.data.root))
     });
-    let recorded = dataset.drives.iter().flat_map(|drive| drive.files(&config.data.root));
+    let recorded = dataset.drives.iter().flat_map(|drive| drive.files().map(Path::to_owned));
     named.chain(RunFolder::at(&arguments.run).files()).chain(measured).chain(recorded).collect()
 }
 
@@ -256,7 +257,7 @@ fn warn_of_missing_times(format: Format, predicted: &[MeasuredMotions], dataset:
     };
     for MeasuredMotions { drive, motions, .. } in predicted {
         let untimed = motions.iter().filter(|motion| motion.times.is_none()).count();
-        let missing = dataset.drives.iter().find(|known| known.name == *drive).map_or("", Drive::missing_times);
+        let missing = dataset.drives.iter().find(|known| known.name == *drive).map_or("", |drive| drive.layout.times());
         if untimed > 0 {
             let count = motions.len();
             let text = format!("warning: {drive}: {untimed} of {count} motions have no times ({missing}); {instead}");
@@ -287,7 +288,7 @@ fn make_depth_maps(
 ) -> anyhow::Result<()> {
     let DepthConfig::Monodepth2(network) = &config.depth else { return Ok(()) };
     let without = Config { depth: DepthConfig::default(), ..config.clone() };
-    let dataset = Dataset::load(&without, PairScope::Measured)?;
+    let dataset = Dataset::load(&without.pairs(), PairScope::Measured)?;
     let targets = dataset.require(split)?.pairs.iter().map(|pair| (pair.id.drive, pair.id.target));
     let frames: Vec<_> = targets.collect::<BTreeSet<_>>().into_iter().collect();
     let estimator = DepthEstimator::load(&network.weights, device)?;
@@ -308,7 +309,7 @@ impl BodyArgument {
     fn frame(self) -> MeasurementFrame {
         match self {
             Self::Camera0 => MeasurementFrame::Camera0,
-            Self::Camera2 => MeasurementFrame::Camera2,
+            Self::Camera2 => MeasurementFrame::Camera,
             Self::Vehicle => MeasurementFrame::Vehicle,
         }
     }

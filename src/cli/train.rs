@@ -11,9 +11,9 @@ use super::eval::{self, Recalibrate};
 use super::output::DetailArgument;
 use super::progress::{Progress, note};
 use super::{Overrides, Terminal, print_result, synth};
-use crate::data::{Dataset, PairScope, SplitName};
 use crate::device::{device_name, is_slow_to_train, open_device};
 use crate::error::Error;
+use crate::pairs::{Dataset, PairScope, SplitName};
 use crate::report::{Comparison, Intervals, TableFormat, render_results};
 use crate::training::{Event, Learner, RunFolder, StopReason};
 
@@ -101,7 +101,7 @@ fn prepare(arguments: &TrainArguments, terminal: &Terminal) -> anyhow::Result<Le
         RunFolder::require_free(&config.run_folder())?;
     }
     synth::make_if_asked(&config, terminal)?;
-    let dataset = Arc::new(Dataset::load(&config, PairScope::Images)?);
+    let dataset = Arc::new(Dataset::load(&config.pairs(), PairScope::Images)?);
     for split in [&dataset.train, &dataset.validation, &dataset.test] {
         let counts: Vec<String> =
             dataset.systems.iter().zip(&split.systems).map(|(name, range)| format!("{} {name}", range.len())).collect();

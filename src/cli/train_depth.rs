@@ -9,7 +9,7 @@ use clap::Args;
 use super::progress::{Progress, note};
 use super::train::interrupt_on_ctrl_c;
 use super::{Overrides, Terminal, print_result, synth};
-use crate::config::DepthConfig;
+use crate::depth::DepthConfig;
 use crate::device::{device_name, open_device};
 use crate::error::Error;
 use crate::training::RunFolder;

@@ -4,13 +4,14 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-use super::{
-    Config, DATA_ROOT_VARIABLE, DataConfig, DepthConfig, DepthTrainingConfig, SystemConfig, SystemSource,
-    TrainingConfig, default_cache_mb, default_checkpoints,
-};
-use super::{default_device, default_max_bad_fraction, overrides};
+use super::{Config, default_checkpoints, default_device, overrides};
+use crate::depth::DepthConfig;
 use crate::error::{Error, Place, Result};
 use crate::files::{read_text, sha256_hex};
+use crate::pairs::{DataConfig, default_cache_mb, default_max_bad_fraction};
+use crate::recordings::DATA_ROOT_VARIABLE;
+use crate::schedule::{DepthTrainingConfig, TrainingConfig};
+use crate::systems::{SystemConfig, SystemSource};
 
 impl Config {
     /// Reads a configuration file and applies `key=value` overrides.

@@ -3,17 +3,18 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use super::{
-    Config, DataConfig, DepthConfig, DepthTrainingConfig, DriveConfig, MinLogVariance, ModelConfig, NetworkDepthConfig,
-    PerturbationConfig, SystemSource, TruthConfig,
-};
+use super::Config;
+use crate::alignment::EvidenceInput;
 use crate::depth::monodepth2::{MOST_SIZE, SIZE_STEP, is_input_size};
-use crate::depth::{DepthRange, ScaleRule};
+use crate::depth::{DepthConfig, DepthRange, NetworkDepthConfig, ScaleRule};
 use crate::error::{Error, Result};
 use crate::files::{DEPTH_SLOTS, MEASUREMENT_SLOTS, is_plain, require_slots};
-use crate::model::{EvidenceInput, ImagePair, PoseInput};
+use crate::model::{ImagePair, MinLogVariance, ModelConfig, PoseInput};
 use crate::network::{Head, ImageNetwork};
+use crate::pairs::{DataConfig, DriveConfig};
+use crate::schedule::DepthTrainingConfig;
 use crate::synthetic::{SyntheticSettings, drive_name};
+use crate::systems::{PerturbationConfig, SystemSource, TruthConfig};
 
 /// Least smaller side of images that are aligned, px; the larger one is twice that.
 const LEAST_ALIGNED: usize = 16;

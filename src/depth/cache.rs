@@ -8,10 +8,10 @@ use serde::{Deserialize, Serialize};
 use super::estimator::weight_hashes;
 use super::files::is_whole_png;
 use super::{DepthEstimator, DepthMap, ScaleRule, ScaleScope, read_depth_png};
-use crate::config::NetworkDepthConfig;
-use crate::data::Drive;
+use crate::depth::NetworkDepthConfig;
 use crate::error::{Error, Place, Result, shortened};
 use crate::files::{is_partial, read_text, sha256_hex, write_atomically};
+use crate::recordings::{Calibration, Recording};
 
 /// A name of its own: run folders have a manifest.json, and a cache can be cleared.
 const MANIFEST: &str = "depth_cache.json";
@@ -60,7 +60,7 @@ impl CacheManifest {
     ///
     /// # Errors
     /// A drive is not the one whose maps are there.
-    pub fn add_drives(&mut self, drives: &[Drive], folder: &Path) -> Result<()> {
+    pub fn add_drives(&mut self, drives: &[Recording], folder: &Path) -> Result<()> {
         for drive in drives {
             let found = self.drives.entry(drive.name.clone()).or_insert_with(|| drive_hash(drive)).clone();
             if found != drive_hash(drive) {
@@ -114,12 +114,12 @@ impl DepthCache {
     }
 
     /// Path of a frame's map.
-    pub fn map_path(&self, drive: &Drive, frame: usize) -> PathBuf {
+    pub fn map_path(&self, drive: &Recording, frame: usize) -> PathBuf {
         self.folder.join(drive.date()).join(&drive.name).join(format!("{frame:010}.png"))
     }
 
     /// Whether a frame's map is there, from beginning to end.
-    pub(super) fn holds(&self, drive: &Drive, frame: usize) -> bool {
+    pub(super) fn holds(&self, drive: &Recording, frame: usize) -> bool {
         is_whole_png(&self.map_path(drive, frame))
     }
 
@@ -127,7 +127,7 @@ impl DepthCache {
     ///
     /// # Errors
     /// It is not there, or damaged.
-    pub fn load(&self, drive: &Drive, frame: usize) -> Result<DepthMap> {
+    pub fn load(&self, drive: &Recording, frame: usize) -> Result<DepthMap> {
         let path = self.map_path(drive, frame);
         if !self.holds(drive, frame) {
             let problem = "no whole depth map of this frame; `relcov depth --config …` makes those that are missing";
@@ -141,7 +141,7 @@ impl DepthCache {
     ///
     /// # Errors
     /// It is missing or stale; the message says what differs and how to renew it.
-    pub fn require(&self, config: &NetworkDepthConfig, drives: &[Drive]) -> Result<String> {
+    pub fn require(&self, config: &NetworkDepthConfig, drives: &[Recording]) -> Result<String> {
         let Some(manifest) = self.manifest()? else {
             return Err(Error::config(
                 "depth.source",
@@ -261,14 +261,23 @@ fn is_map(path: &Path) -> bool {
         && (extension == "png" || extension.starts_with("png.") && extension.ends_with(".partial"))
 }
 
-fn drive_hash(drive: &Drive) -> String {
+fn drive_hash(drive: &Recording) -> String {
     let first = drive.images.values().next().and_then(|path| std::fs::read(path).ok()).unwrap_or_default();
-    let mut bytes = format!("{:?}", drive.calibration).into_bytes();
+    let mut bytes = calibration_of(&drive.calibration).into_bytes();
     bytes.extend(first);
     sha256_hex(&bytes)
 }
 
-fn other_drive(drive: &Drive, folder: &Path) -> Error {
+/// A calibration in words that stay, whatever its fields are called.
+fn calibration_of(calibration: &Calibration) -> String {
+    let Calibration { camera, camera_from_camera0, camera_from_velodyne, camera_from_vehicle, right_from_left } =
+        calibration;
+    format!(
+        "Calibration {{ camera2: {camera:?}, camera2_from_camera0: {camera_from_camera0:?}, camera2_from_velodyne: {camera_from_velodyne:?}, camera2_from_vehicle: {camera_from_vehicle:?}, camera3_from_camera2: {right_from_left:?} }}"
+    )
+}
+
+fn other_drive(drive: &Recording, folder: &Path) -> Error {
     Error::config(
         "depth.cache",
         format!(

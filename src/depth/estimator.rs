@@ -8,9 +8,9 @@ use serde::{Deserialize, Serialize};
 
 use super::monodepth2::{Monodepth2, PublishedWeights, disparity_to_depth, is_input_size};
 use super::{DepthMap, ScaleRule};
-use crate::data::RgbImage;
 use crate::error::{Error, Place, Result};
 use crate::files::{put_in_place, read_text, sha256_hex, temporary_name, write_atomically};
+use crate::recordings::RgbImage;
 
 /// What `relcov train-depth` leaves: weights, and what they are for.
 const METRIC_WEIGHTS: &str = "depth.safetensors";
@@ -43,7 +43,7 @@ impl DepthRange {
 ///
 /// ```no_run
 /// # use relcov::depth::{DepthEstimator, ScaleRule};
-/// # use relcov::data::read_image;
+/// # use relcov::recordings::read_image;
 /// # fn main() -> relcov::Result<()> {
 /// let device = relcov::device::open_device("auto")?;
 /// let estimator = DepthEstimator::load("weights/mono+stereo_640x192".as_ref(), &device)?;

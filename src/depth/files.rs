@@ -7,9 +7,9 @@ use image::{DynamicImage, ImageBuffer, ImageFormat, Luma};
 
 use super::DepthMap;
 use super::map::EXPECTED_ASPECT;
-use crate::data::{Drive, decode};
 use crate::error::{Error, Place, Result};
 use crate::files::{read_bytes, write_atomically};
+use crate::recordings::{Recording, decode};
 
 /// Steps of a metre in a depth PNG.
 const STEPS_PER_METRE: f32 = 256.0;
@@ -19,7 +19,7 @@ pub(super) const FARTHEST_M: f32 = u16::MAX as f32 / STEPS_PER_METRE;
 const PNG_END: &[u8; 12] = b"\0\0\0\0IEND\xAE\x42\x60\x82";
 
 /// Path of a frame's depth map from a template below `root`.
-pub(super) fn depth_path(template: &str, drive: &Drive, frame: usize, root: &Path) -> PathBuf {
+pub(super) fn depth_path(template: &str, drive: &Recording, frame: usize, root: &Path) -> PathBuf {
     root.join(
         template
             .replace("{date}", drive.date())

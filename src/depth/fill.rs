@@ -4,7 +4,7 @@ use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 use super::DepthMap;
-use crate::data::RgbImage;
+use crate::recordings::RgbImage;
 
 /// Steps that a change of the image by its full range costs beside the step itself. Like the numbers below, chosen by
 /// rings of real scans that were left out (`relcov depth --evaluate`, 512x160): abs_rel is .081 with the nearest return

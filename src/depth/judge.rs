@@ -1,15 +1,14 @@
 //! Judges the configured depth of frames against LiDAR scans or files of true depth.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::{DepthMap, DepthScores, ScaleRule, files, fill_gaps, native_depth, project_scan, read_scan};
-use crate::config::{Config, DepthConfig};
-use crate::data::Drive;
-use crate::depth::FrameId;
+use crate::depth::{DepthConfig, FrameId};
 use crate::error::Result;
+use crate::recordings::Recording;
 
 /// Frames that are read at once.
 const BATCH: usize = 16;
@@ -45,10 +44,16 @@ pub struct JudgedDepth {
 
 impl<'a> DepthJudge<'a> {
     /// `truth`: a path below `data.root` with `{date}`, `{drive}` and `{frame}`; without one, the LiDAR's scans.
-    pub fn new(config: &'a Config, truth: Option<&'a str>) -> Self {
-        let size = [config.model.width, config.model.height];
-        let max_bad_fraction = config.data.max_bad_fraction;
-        Self { depth: &config.depth, truth, root: config.data.root.clone(), size, max_bad_fraction }
+    ///
+    /// `size`: width and height at which LiDAR maps are filled, px; `root`: `data.root`.
+    pub fn new(
+        depth: &'a DepthConfig,
+        truth: Option<&'a str>,
+        root: &Path,
+        size: [usize; 2],
+        max_bad_fraction: f64,
+    ) -> Self {
+        Self { depth, truth, root: root.to_owned(), size, max_bad_fraction }
     }
 
     /// What is taken for true, in words.
@@ -64,7 +69,12 @@ impl<'a> DepthJudge<'a> {
     ///
     /// # Errors
     /// More frames cannot be read than `data.max_bad_fraction` allows.
-    pub fn scores(&self, drives: &[Drive], frames: &[FrameId], observe: &mut dyn FnMut(usize)) -> Result<JudgedDepth> {
+    pub fn scores(
+        &self,
+        drives: &[Recording],
+        frames: &[FrameId],
+        observe: &mut dyn FnMut(usize),
+    ) -> Result<JudgedDepth> {
         let mut judged = JudgedDepth::default();
         for (batch, frames_of_batch) in frames.chunks(BATCH).enumerate() {
             let scores: Vec<Result<Option<[DepthScores; 2]>>> =
@@ -90,8 +100,8 @@ impl<'a> DepthJudge<'a> {
         Ok(judged)
     }
 
-    fn score(&self, drive: &Drive, frame: usize) -> Result<Option<[DepthScores; 2]>> {
-        let camera = &drive.calibration.camera2;
+    fn score(&self, drive: &Recording, frame: usize) -> Result<Option<[DepthScores; 2]>> {
+        let camera = &drive.calibration.camera;
         let judged = match (self.truth, self.depth) {
             (None, DepthConfig::Lidar { fill_radius_px }) => self.with_rings_left_out(drive, frame, *fill_radius_px)?,
             _ => match self.true_depth(drive, frame)? {
@@ -108,26 +118,26 @@ impl<'a> DepthJudge<'a> {
         Ok(DepthScores::of_image(&depth.scaled(factor), &truth).map(|median_scaled| [scores, median_scaled]))
     }
 
-    fn true_depth(&self, drive: &Drive, frame: usize) -> Result<Option<DepthMap>> {
+    fn true_depth(&self, drive: &Recording, frame: usize) -> Result<Option<DepthMap>> {
         if let Some(template) = self.truth {
             let path = files::depth_path(template, drive, frame, &self.root);
             return if path.is_file() { files::read_depth_of(&path, drive.image_size()).map(Some) } else { Ok(None) };
         }
         let Some(scan) = drive.scans.get(&frame) else { return Ok(None) };
         let calibration = &drive.calibration;
-        Ok(Some(project_scan(&read_scan(scan)?, &calibration.camera2_from_velodyne, &calibration.camera2)))
+        Ok(Some(project_scan(&read_scan(scan)?, &calibration.camera_from_velodyne, &calibration.camera)))
     }
 
     /// A map filled from some rings of a scan, and the others' returns.
     fn with_rings_left_out(
         &self,
-        drive: &Drive,
+        drive: &Recording,
         frame: usize,
         radius_px: usize,
     ) -> Result<Option<(DepthMap, DepthMap)>> {
         let Some(scan) = drive.scans.get(&frame) else { return Ok(None) };
         let [width, height] = self.size;
-        let camera = drive.calibration.camera2.resized(width, height);
+        let camera = drive.calibration.camera.resized(width, height);
         let image = drive.read_image(frame)?.resized(width, height);
         let place_in_period_deg =
             |point: &Vector3<f32>| (point.z / point.xy().norm()).atan().to_degrees().rem_euclid(PERIOD_DEG);
@@ -136,7 +146,7 @@ impl<'a> DepthJudge<'a> {
         let kept_deg = BAND_DEG + GUARD_DEG..PERIOD_DEG - GUARD_DEG;
         let kept: Vec<Vector3<f32>> =
             rest.into_iter().filter(|point| kept_deg.contains(&place_in_period_deg(point))).collect();
-        let project = |points: &[Vector3<f32>]| project_scan(points, &drive.calibration.camera2_from_velodyne, &camera);
+        let project = |points: &[Vector3<f32>]| project_scan(points, &drive.calibration.camera_from_velodyne, &camera);
         Ok(Some((fill_gaps(&project(&kept), &image, radius_px), project(&truth))))
     }
 }

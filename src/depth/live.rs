@@ -5,10 +5,10 @@ use std::sync::Mutex;
 use burn::tensor::Device;
 
 use super::{DepthEstimator, DepthMap, ScaleRule, ground_plane_depth};
-use crate::config::DepthConfig;
-use crate::data::RgbImage;
+use crate::depth::DepthConfig;
 use crate::error::{Error, Result};
 use crate::geometry::Pinhole;
+use crate::recordings::RgbImage;
 
 /// Makes depth from an image and its camera alone: a flat road, or a depth network whose depths are metres.
 pub struct LiveDepth {

@@ -15,6 +15,7 @@ pub mod monodepth2;
 mod precompute;
 mod scale;
 mod scores;
+mod settings;
 mod source;
 
 pub use cache::DepthCache;
@@ -32,5 +33,6 @@ pub(crate) use map::EXPECTED_ASPECT;
 pub use precompute::{FrameId, PrecomputeSummary, Present, precompute};
 pub use scale::{ScaleRule, ScaleScope};
 pub use scores::DepthScores;
+pub use settings::{DepthConfig, NetworkDepthConfig};
 pub(crate) use source::depth_file;
 pub use source::{has_depth, load_depth, native_depth};

@@ -11,11 +11,11 @@ use super::cache::CacheManifest;
 use super::estimator::require_aspect;
 use super::files::FARTHEST_M;
 use super::{DepthCache, DepthEstimator, DepthMap, ScaleRule, ScaleScope, encode_depth_png, project_scan, read_scan};
-use crate::config::NetworkDepthConfig;
-use crate::data::{Drive, RgbImage};
+use crate::depth::NetworkDepthConfig;
 use crate::error::{Error, Result};
 use crate::files::write_renamed;
 use crate::geometry::Pinhole;
+use crate::recordings::{Recording, RgbImage};
 
 /// Frames that go through the network at once.
 const BATCH: usize = 4;
@@ -68,14 +68,14 @@ pub enum Present {
 pub fn precompute(
     estimator: &DepthEstimator,
     config: &NetworkDepthConfig,
-    drives: &[Drive],
+    drives: &[Recording],
     frames: &[FrameId],
     max_bad_fraction: f64,
     present: Present,
     observe: &mut dyn FnMut(usize, usize) -> Result<()>,
 ) -> Result<PrecomputeSummary> {
-    for Drive { name, calibration, .. } in drives {
-        let Pinhole { width, height, .. } = calibration.camera2;
+    for Recording { name, calibration, .. } in drives {
+        let Pinhole { width, height, .. } = calibration.camera;
         let named = |error: Error| Error::Data(format!("{name}: {error}"));
         require_aspect([width, height], [estimator.width, estimator.height]).map_err(named)?;
     }
@@ -137,7 +137,7 @@ pub fn precompute(
 /// A network at work on the frames of some drives.
 struct NetworkRun<'a> {
     estimator: &'a DepthEstimator,
-    drives: &'a [Drive],
+    drives: &'a [Recording],
     rule: ScaleRule,
     max_bad_frames: f64,
 }
@@ -231,7 +231,7 @@ impl<'a> SequenceFactors<'a> {
 impl NetworkRun<'_> {
     /// Mean of the factors of scans spread over a sequence, `None` without a usable one.
     fn sequence_factor(&self, drive: usize) -> Result<Option<f64>> {
-        let Drive { scans, images, .. } = &self.drives[drive];
+        let Recording { scans, images, .. } = &self.drives[drive];
         let scanned: Vec<usize> = scans.keys().copied().filter(|frame| images.contains_key(frame)).collect();
         let count = scanned.len().min(SCANS_FOR_A_SEQUENCE);
         let spread: Vec<FrameId> =
@@ -247,8 +247,8 @@ impl NetworkRun<'_> {
     /// The factor of a frame by its own scan; a scan that gives none is warned of.
     fn own_factor(&self, map: &NetworkMap) -> Option<f64> {
         let (drive, frame) = map.id;
-        let Drive { name, calibration, .. } = &self.drives[drive];
-        let factor = self.rule.factor(&map.depth, map.returns.as_ref()?, &calibration.camera2);
+        let Recording { name, calibration, .. } = &self.drives[drive];
+        let factor = self.rule.factor(&map.depth, map.returns.as_ref()?, &calibration.camera);
         factor.inspect_err(|error| tracing::warn!("{name}, frame {frame}: {error}")).ok()
     }
 
@@ -312,9 +312,9 @@ impl NetworkRun<'_> {
         let image = self.estimator.prepare(drive.read_image(frame)?)?;
         let scan = drive.scans.get(&frame).filter(|_| scans == Scans::Read && self.rule.needs_lidar());
         let returns = scan.and_then(|scan| {
-            let Drive { name, calibration, .. } = drive;
+            let Recording { name, calibration, .. } = drive;
             let points = read_scan(scan).inspect_err(|error| tracing::warn!("{name}, frame {frame}: {error}")).ok()?;
-            Some(project_scan(&points, &calibration.camera2_from_velodyne, &calibration.camera2))
+            Some(project_scan(&points, &calibration.camera_from_velodyne, &calibration.camera))
         });
         Ok(PreparedFrame { id, image, returns })
     }

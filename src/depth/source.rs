@@ -3,13 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use super::{DepthCache, DepthMap, files, fill_gaps, ground_plane_depth, project_scan, read_scan};
-use crate::config::DepthConfig;
-use crate::data::{Drive, RgbImage};
+use crate::depth::DepthConfig;
 use crate::error::{Error, Result};
 use crate::geometry::Pinhole;
+use crate::recordings::{Recording, RgbImage};
 
 /// Whether the configured source has depth for a frame.
-pub fn has_depth(config: &DepthConfig, drive: &Drive, frame: usize, root: &Path) -> bool {
+pub fn has_depth(config: &DepthConfig, drive: &Recording, frame: usize, root: &Path) -> bool {
     match config {
         DepthConfig::GroundPlane { .. } => true,
         DepthConfig::Lidar { .. } => drive.scans.contains_key(&frame),
@@ -20,7 +20,7 @@ pub fn has_depth(config: &DepthConfig, drive: &Drive, frame: usize, root: &Path)
 }
 
 /// The file in which the configured source looks for a frame's depth, where it is one of the user's.
-pub(crate) fn depth_file(config: &DepthConfig, drive: &Drive, frame: usize, root: &Path) -> Option<PathBuf> {
+pub(crate) fn depth_file(config: &DepthConfig, drive: &Recording, frame: usize, root: &Path) -> Option<PathBuf> {
     match config {
         DepthConfig::Files { path } => Some(files::depth_path(path, drive, frame, root)),
         DepthConfig::Manifest {} => listed_depth(drive, frame).cloned(),
@@ -34,7 +34,7 @@ pub(crate) fn depth_file(config: &DepthConfig, drive: &Drive, frame: usize, root
 /// The frame's scan or depth file is missing or malformed, or knows the depth of no pixel.
 pub fn load_depth(
     config: &DepthConfig,
-    drive: &Drive,
+    drive: &Recording,
     frame: usize,
     root: &Path,
     camera: &Pinhole,
@@ -50,8 +50,8 @@ pub fn load_depth(
     Ok(depth)
 }
 
-fn listed_depth(drive: &Drive, frame: usize) -> Option<&PathBuf> {
-    drive.listed.as_ref()?.depth.get(&frame)
+fn listed_depth(drive: &Recording, frame: usize) -> Option<&PathBuf> {
+    drive.depth.get(&frame)
 }
 
 /// The same at the size that the source has: that of its files, else the camera's.
@@ -60,7 +60,7 @@ fn listed_depth(drive: &Drive, frame: usize) -> Option<&PathBuf> {
 /// As [`load_depth`].
 pub fn native_depth(
     config: &DepthConfig,
-    drive: &Drive,
+    drive: &Recording,
     frame: usize,
     root: &Path,
     camera: &Pinhole,
@@ -68,7 +68,7 @@ pub fn native_depth(
 ) -> Result<DepthMap> {
     match config {
         DepthConfig::GroundPlane { camera_height_m, horizon_px, max_depth_m } => {
-            let horizon_px = horizon_px.map(|row| drive.calibration.camera2.resized_row(row, camera.height));
+            let horizon_px = horizon_px.map(|row| drive.calibration.camera.resized_row(row, camera.height));
             Ok(ground_plane_depth(camera, *camera_height_m, horizon_px, *max_depth_m))
         }
         DepthConfig::Lidar { fill_radius_px } => {
@@ -78,7 +78,7 @@ pub fn native_depth(
                     drive.name
                 ))
             })?;
-            let sparse = project_scan(&read_scan(path)?, &drive.calibration.camera2_from_velodyne, camera);
+            let sparse = project_scan(&read_scan(path)?, &drive.calibration.camera_from_velodyne, camera);
             Ok(fill_gaps(&sparse, image, *fill_radius_px))
         }
         DepthConfig::Files { path } => {

@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use super::log_linear::LogLinear;
 use super::pair_table::SystemPairs;
 use super::ranks::median;
-use crate::data::Pair;
 use crate::geometry::{Covariance6, Tangent};
+use crate::pairs::Pair;
 
 /// Standard deviation of a Gaussian over the median of its absolute values.
 const SIGMA_PER_MEDIAN: f64 = 1.482_602_218_505_602;

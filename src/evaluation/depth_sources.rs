@@ -3,9 +3,11 @@
 use burn::tensor::Device;
 
 use super::warped::{WarpedPair, mean_difference, warp_pair};
-use crate::config::{Config, DepthConfig};
-use crate::data::{Dataset, PairReader, PairSample, PairScope, RgbImage, SplitName};
+use crate::config::Config;
+use crate::depth::DepthConfig;
 use crate::error::{Error, Result};
+use crate::pairs::{Dataset, PairReader, PairSample, PairScope, SplitName};
+use crate::recordings::RgbImage;
 
 /// How well one source's depth explains the pairs, means over them.
 #[derive(Clone, Debug, PartialEq)]
@@ -52,8 +54,8 @@ pub fn compare_depth_sources(
             let mut config = Config { depth: depth.clone(), ..config.with_truth_alone() };
             // A source needs to know the pairs that are compared, not those of other splits.
             (config.data.train, config.data.validation) = (Vec::new(), Vec::new());
-            let dataset = Dataset::load(&config, PairScope::Images)?;
-            Ok((PairReader::new(&config, &dataset, SplitName::Test), dataset.test.pairs))
+            let dataset = Dataset::load(&config.pairs(), PairScope::Images)?;
+            Ok((PairReader::new(&config.pairs(), &dataset, SplitName::Test), dataset.test.pairs))
         })
         .collect::<Result<Vec<_>>>()?;
     let Some((first, others)) = readers.split_first() else {

@@ -7,9 +7,9 @@ use std::sync::Arc;
 use super::correction::{corrected_covariance, corrected_error};
 use super::prediction::Prediction;
 use crate::alignment::NoVerdict;
-use crate::data::{Dataset, Pair, PairId, Split};
 use crate::files::sha256_hex;
 use crate::geometry::{Covariance6, ErrorFrame, Posterior};
+use crate::pairs::{Dataset, Pair, PairId, Split};
 
 /// All systems of a split.
 #[derive(Clone, Debug, PartialEq)]

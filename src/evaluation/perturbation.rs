@@ -8,10 +8,10 @@ use serde::{Deserialize, Serialize};
 
 use super::prediction::read_values;
 use super::ranks::spearman;
-use crate::data::{Dataset, Pair, PairBatch, PairReader, PairSample, RightImages, Split};
 use crate::error::Result;
 use crate::geometry::{ErrorFrame, Pose, Tangent};
 use crate::model::CovarianceModel;
+use crate::pairs::{Dataset, Pair, PairBatch, PairReader, PairSample, RightImages, Split};
 use crate::systems::standard_normal;
 use crate::training::Manifest;
 
@@ -57,7 +57,7 @@ pub fn perturbation_response(
         return Ok(None);
     };
     let camera_from_frame = |pair: &Pair| match manifest.conventions.error_frame {
-        ErrorFrame::Vehicle => Some(dataset.drives[pair.id.drive].calibration.camera2_from_vehicle),
+        ErrorFrame::Vehicle => Some(dataset.drives[pair.id.drive].calibration.camera_from_vehicle),
         ErrorFrame::Camera => Some(Pose::identity()),
         ErrorFrame::World => None,
     };

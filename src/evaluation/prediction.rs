@@ -5,11 +5,10 @@ use std::sync::Arc;
 use burn::tensor::{Device, Tensor};
 
 use crate::alignment::NoVerdict;
-use crate::config::TrainingConfig;
-use crate::data::{BatchLoader, Choice, Images, Pair, PairId, PairReader, Request, Split};
 use crate::error::{Error, Result};
 use crate::geometry::{Covariance6, Posterior, Tangent};
 use crate::model::{CovarianceModel, Estimate};
+use crate::pairs::{BatchLoader, Choice, Images, Loading, Pair, PairId, PairReader, Request, Split};
 
 /// Outputs this close to their floor count as sitting on it, nats.
 const FLOOR_MARGIN: f64 = 0.1;
@@ -92,7 +91,7 @@ pub fn predict_split(
     reader: &Arc<PairReader>,
     split: &Split,
     images: Images,
-    loading: &TrainingConfig,
+    loading: &Loading,
     device: &Device,
     progress: &mut dyn FnMut(usize) -> Result<()>,
 ) -> Result<Vec<Prediction>> {
@@ -101,7 +100,7 @@ pub fn predict_split(
     order.sort_by_key(|&pair| (split.pairs[pair].id, split.pairs[pair].system));
     let choices: Vec<Choice> = order.into_iter().map(|pair| Choice { pair, draw: None, substitutes: None }).collect();
     let request = |choices: &[Choice]| Request { choices: choices.to_vec(), images };
-    let requests: Vec<Request> = choices.chunks(loading.micro_batch).map(request).collect();
+    let requests: Vec<Request> = choices.chunks(loading.batch).map(request).collect();
     let pairs = Arc::new(split.pairs.clone());
     let batches = requests.len();
     let mut loader = BatchLoader::spawn(reader.clone(), pairs.clone(), requests.into_iter(), loading)?;

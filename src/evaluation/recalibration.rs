@@ -108,9 +108,9 @@ mod tests {
     use rand::{RngExt, SeedableRng};
 
     use super::*;
-    use crate::data::PairId;
     use crate::evaluation::evaluate;
     use crate::geometry::Tangent;
+    use crate::pairs::PairId;
 
     fn prediction(system: usize, frame: usize, error: f64, variance: f64) -> Prediction {
         Prediction {

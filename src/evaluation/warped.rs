@@ -3,8 +3,9 @@
 use burn::tensor::Device;
 
 use super::prediction::read_values;
-use crate::data::{PairBatch, PairSample, RgbImage};
 use crate::error::Result;
+use crate::pairs::{PairBatch, PairSample};
+use crate::recordings::RgbImage;
 use crate::warp::Warp;
 
 /// The source image seen from the target by the measured pose.

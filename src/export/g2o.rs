@@ -8,7 +8,8 @@ use nalgebra::{Matrix6, Vector6};
 use super::{G2oRotation, MeasuredMotions, Perturbation, join, pose_numbers};
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
-use crate::systems::{Trajectory, chain_poses};
+use crate::recordings::Trajectory;
+use crate::systems::chain_poses;
 
 pub(super) fn render(measured: &MeasuredMotions, rotation: G2oRotation, floor: Option<[f64; 2]>) -> Result<String> {
     let MeasuredMotions { system, drive, motions, .. } = measured;

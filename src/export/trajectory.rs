@@ -87,7 +87,7 @@ mod tests {
     use super::super::Format;
     use super::super::tests::measured;
     use super::*;
-    use crate::systems::{parse_kitti_trajectory, parse_tum_trajectory};
+    use crate::recordings::{parse_kitti_trajectory, parse_tum_trajectory};
 
     #[test]
     fn plain_trajectories_are_read_back() {

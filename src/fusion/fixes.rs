@@ -8,8 +8,8 @@ use nalgebra::{Rotation3, Vector3};
 use crate::error::{Error, Place, Result};
 use crate::files::{Form, Table};
 use crate::geometry::Pose;
+use crate::recordings::{Trajectory, pose_from_quaternion};
 use crate::synthetic::{Purpose, Random};
-use crate::systems::{Trajectory, pose_from_quaternion};
 
 /// Standard deviation of the attitude that simulated fixes give once, for the first frame, rad.
 const FIRST_ATTITUDE_RAD: f64 = 0.02;

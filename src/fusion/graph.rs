@@ -12,7 +12,8 @@ use super::fixes::{Fix, anchor};
 use super::solver::{marginals, solve};
 use crate::error::{Error, Result};
 use crate::geometry::{Covariance6, Pose, ROTATION, TRANSLATION, hat};
-use crate::systems::{RelativePose, Trajectory, chain_poses};
+use crate::recordings::Trajectory;
+use crate::systems::{RelativePose, chain_poses};
 
 assign_symbols!(X: SE3);
 

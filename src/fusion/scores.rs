@@ -3,7 +3,7 @@
 use super::FusedTrajectory;
 use crate::evaluation::CHI_SQUARED_6_95;
 use crate::geometry::{ROTATION, TRANSLATION, Tangent};
-use crate::systems::Trajectory;
+use crate::recordings::Trajectory;
 
 /// Scores of a trajectory against the truth; no alignment, for both are in one world.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -4,8 +4,9 @@ use burn::tensor::Tensor;
 use serde::{Deserialize, Serialize};
 
 use super::Architecture;
-use crate::data::{ImageBatch, Images, PairBatch};
+use crate::alignment::EvidenceInput;
 use crate::network::{ImageNetwork, NetworkInput};
+use crate::pairs::{ImageBatch, Images, PairBatch};
 use crate::warp::{Warp, Warped};
 
 /// Images lie in 0…1; the network sees them around 0.
@@ -55,17 +56,6 @@ pub enum PoseInput {
     /// As `log ⁱT̂ᵢ₊₁` through a small multilayer perceptron whose output joins the image features, as
     /// Wagstaff, Peretroukhin and Kelly do (SS-DPC-Net, 2020).
     Mlp,
-}
-
-/// Whether the network is told what direct alignment says of the measured pose's error.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum EvidenceInput {
-    /// No (the paper).
-    #[default]
-    Off,
-    /// By the photometric normal equations at the measured pose ([`crate::alignment`]).
-    Alignment,
 }
 
 impl Architecture {

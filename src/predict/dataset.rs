@@ -4,13 +4,15 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use super::Model;
-use crate::config::{Config, TruthConfig};
-use crate::data::{Dataset, Drive, PairReader, Split};
+use crate::config::Config;
 use crate::error::{Error, Result};
 use crate::evaluation::{Prediction, predict_split};
 use crate::export::{MeasuredMotion, MeasuredMotions, Verdict};
 use crate::geometry::{ErrorFrame, Pose};
 use crate::model::Estimate;
+use crate::pairs::{Dataset, PairReader, Split};
+use crate::recordings::Recording;
+use crate::systems::TruthConfig;
 
 impl Model {
     /// Predicts every readable measurement of a split, images decoded ahead of the network; one entry for each system
@@ -30,10 +32,10 @@ impl Model {
         output: ErrorFrame,
         progress: &mut dyn FnMut(usize) -> Result<()>,
     ) -> Result<Vec<MeasuredMotions>> {
-        let reader = Arc::new(PairReader::new(config, dataset, split.name));
+        let reader = Arc::new(PairReader::new(&config.pairs(), dataset, split.name));
         let images = self.architecture.images();
         let predictions =
-            predict_split(&self.network, &reader, split, images, &config.training, &self.device, progress)?;
+            predict_split(&self.network, &reader, split, images, &config.training.loading(), &self.device, progress)?;
         let blind = reader.blind_pairs();
         if let Some(first) = blind.first() {
             tracing::warn!("{} pairs are left out; the first: {first}", blind.len());
@@ -42,8 +44,7 @@ impl Model {
         for prediction in &predictions {
             let Prediction { pair, system, motion, .. } = prediction;
             let drive = &dataset.drives[pair.drive];
-            let world_from_vehicle =
-                drive.oxts_poses.get(&pair.source).filter(|_| config.truth == TruthConfig::Oxts {});
+            let world_from_vehicle = drive.poses.get(&pair.source).filter(|_| config.truth == TruthConfig::Oxts {});
             let axes = |frame| axes_from_vehicle(drive, frame, world_from_vehicle);
             let output_from_vehicle = axes(output)?;
             let estimate =
@@ -82,7 +83,7 @@ fn in_axes(estimate: Estimate, errors_from_vehicle: &Pose, output_from_vehicle: 
     }
 }
 
-fn axes_from_vehicle(drive: &Drive, frame: ErrorFrame, world_from_vehicle: Option<&Pose>) -> Result<Pose> {
+fn axes_from_vehicle(drive: &Recording, frame: ErrorFrame, world_from_vehicle: Option<&Pose>) -> Result<Pose> {
     drive.calibration.axes_from_vehicle(frame, world_from_vehicle).ok_or_else(|| {
         Error::Data(format!(
             "{}: axes of the world need the vehicle's pose in it (the drive's oxts), which these data do not have; take --frame vehicle or camera",

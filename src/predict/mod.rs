@@ -13,16 +13,17 @@ use std::sync::Arc;
 use burn::tensor::Device;
 use rayon::prelude::*;
 
-use crate::alignment::Evidence;
-use crate::config::{Config, DepthConfig};
-use crate::data::{PairNumbers, PairSample, RgbImage, RightImages, SHOWS_NOTHING, camera_axes_from_vehicle};
-use crate::depth::{DepthMap, EXPECTED_ASPECT, LiveDepth};
+use crate::alignment::{Evidence, EvidenceInput};
+use crate::config::Config;
+use crate::depth::{DepthConfig, DepthMap, EXPECTED_ASPECT, LiveDepth};
 use crate::error::{Error, Result};
 use crate::evaluation::{Recalibration, read_values};
 use crate::export::Verdict;
 use crate::geometry::{Covariance6, ErrorFrame, OWN_INTRINSICS, Pinhole, Pose, Posterior, Tangent};
-use crate::model::{Architecture, CovarianceModel, Estimate, EvidenceInput};
+use crate::model::{Architecture, CovarianceModel, Estimate};
 use crate::network::Head;
+use crate::pairs::{PairNumbers, PairSample, RightImages, SHOWS_NOTHING};
+use crate::recordings::{RgbImage, camera_axes_from_vehicle};
 use crate::training::RunFolder;
 
 pub use stream::{Stream, StreamSettings};
@@ -33,7 +34,7 @@ const LARGEST: f64 = 1e6;
 /// A model ready to predict.
 ///
 /// ```no_run
-/// use relcov::data::read_image;
+/// use relcov::recordings::read_image;
 /// use relcov::{Measurement, Model, depth, device, geometry};
 ///
 /// # fn main() -> relcov::Result<()> {
@@ -144,7 +145,7 @@ impl Model {
     /// A model that was never trained: predicts `log_variance` (ln m², ln rad²) for every pair.
     ///
     /// ```
-    /// use relcov::data::RgbImage;
+    /// use relcov::recordings::RgbImage;
     /// use relcov::geometry::{ErrorFrame, Pinhole, Pose};
     /// use relcov::model::Architecture;
     /// use relcov::{Measurement, Model, depth, device};

@@ -12,7 +12,7 @@ use serde::{Deserialize, Deserializer};
 use super::identity::Id;
 use crate::error::{Error, Place, Result, excerpt};
 use crate::geometry::Pose;
-use crate::systems::pose_from_quaternion;
+use crate::recordings::pose_from_quaternion;
 
 /// Largest `|RᵀR − I|` of a rotation.
 const ROTATION_TOLERANCE: f64 = 1e-3;

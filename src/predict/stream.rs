@@ -5,13 +5,12 @@ use serde::Serialize;
 use super::identity::{Id, identity, replace_no_numbers};
 use super::request::{PoseFrame, Request};
 use super::{Measurement, Model, RightView};
-use crate::config::DepthConfig;
-use crate::data::{decode_image, read_image};
-use crate::depth::{LiveDepth, decode_depth_png, read_depth_png};
+use crate::depth::{DepthConfig, LiveDepth, decode_depth_png, read_depth_png};
 use crate::error::{Error, Result, excerpt, shortened};
 use crate::export::{JsonJudgement, JsonPose, MeasuredMotion, Perturbation, Poses};
 use crate::files::without_mark;
 use crate::geometry::{ErrorFrame, Pinhole, Pose};
+use crate::recordings::{decode_image, read_image};
 
 /// How a stream answers.
 #[derive(Clone, Debug, Default)]

@@ -2,8 +2,9 @@
 
 use std::io::Cursor;
 
-use crate::data::{PairSample, RgbImage};
 use crate::evaluation::WarpedPair;
+use crate::pairs::PairSample;
+use crate::recordings::RgbImage;
 
 /// What the columns of a contact sheet show; the last one where a row of the sheet was aligned.
 pub const CONTACT_SHEET_COLUMNS: [&str; 6] = [

@@ -35,7 +35,7 @@ pub(super) fn stereo_odometry_covariance(
     source: &Moment,
     target: &Moment,
 ) -> Covariance6 {
-    let vehicle_from_camera = rig.vehicle_from_camera2();
+    let vehicle_from_camera = rig.vehicle_from_camera();
     let view = View {
         scene: &target.scene,
         light: &target.light,

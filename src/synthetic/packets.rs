@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use super::motion::{FRAME_S, LANE_M};
 use super::world::Moment;
-use crate::data::EARTH_RADIUS_M;
+use crate::recordings::EARTH_RADIUS_M;
 
 /// Where a drive begins, degrees and metres.
 const LATITUDE_DEG: f64 = 49.0;
@@ -12,7 +12,7 @@ const LONGITUDE_DEG: f64 = 8.4;
 const ALTITUDE_M: f64 = 115.0;
 
 /// The text of a packet: 30 numbers. The inverse of the Mercator projection in
-/// [`world_from_vehicle`](crate::data::world_from_vehicle); the drive begins at `start`.
+/// [`world_from_vehicle`](crate::recordings::world_from_vehicle); the drive begins at `start`.
 pub(super) fn packet(moment: &Moment, start: &Vector3<f64>) -> String {
     let position = moment.world_from_vehicle.translation - start;
     let scaled_radius = libm::cos(LATITUDE_DEG.to_radians()) * EARTH_RADIUS_M;

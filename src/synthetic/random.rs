@@ -8,7 +8,7 @@ use rand_chacha::ChaCha8Rng;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Purpose {
     /// The seed of a drive.
-    Drive,
+    Recording,
     /// Bends of the road.
     Road,
     /// How the car drives.
@@ -30,7 +30,7 @@ pub(crate) enum Purpose {
 impl Purpose {
     fn number(self) -> u64 {
         match self {
-            Self::Drive => 0,
+            Self::Recording => 0,
             Self::Road => 1,
             Self::Motion => 2,
             Self::Street => 3,

@@ -187,7 +187,7 @@ impl Studio<'_> {
         if left.exists() {
             return Ok(());
         }
-        let vehicle_from_left = self.rig.vehicle_from_camera2();
+        let vehicle_from_left = self.rig.vehicle_from_camera();
         let vehicle_from_right = vehicle_from_left * self.rig.camera2_from_camera3();
         let (right_image, _) = self.photograph(moment, seed, &vehicle_from_right, 3);
         write_renamed(&file("image_03", "png"), &right_image)?;

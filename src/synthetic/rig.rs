@@ -5,10 +5,10 @@ use std::path::Path;
 
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 
-use crate::data::Calibration;
 use crate::error::Result;
 use crate::files::write_atomically;
 use crate::geometry::{Pinhole, Pose};
+use crate::recordings::{Calibration, load_kitti_calibration};
 
 /// Focal length in image widths, and principal point in image widths and heights: near KITTI's.
 const FOCAL: f64 = 0.577;
@@ -33,15 +33,15 @@ impl Rig {
         for (name, text) in calibration_files(size) {
             write_atomically(&date_folder.join(name), text.as_bytes())?;
         }
-        Ok(Self { calibration: Calibration::load(date_folder)? })
+        Ok(Self { calibration: load_kitti_calibration(date_folder)? })
     }
 
     pub(super) fn camera(&self) -> Pinhole {
-        self.calibration.camera2
+        self.calibration.camera
     }
 
-    pub(super) fn vehicle_from_camera2(&self) -> Pose {
-        self.calibration.camera2_from_vehicle.inverse()
+    pub(super) fn vehicle_from_camera(&self) -> Pose {
+        self.calibration.camera_from_vehicle.inverse()
     }
 
     /// The right camera, which looks in the same direction.
@@ -50,7 +50,7 @@ impl Rig {
     }
 
     pub(super) fn vehicle_from_velodyne(&self) -> Pose {
-        self.vehicle_from_camera2() * self.calibration.camera2_from_velodyne
+        self.vehicle_from_camera() * self.calibration.camera_from_velodyne
     }
 }
 
@@ -105,11 +105,11 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let rig = Rig::install(folder.path(), [512, 160]).unwrap();
         assert_eq!((rig.camera().width, rig.camera().height), (512, 160));
-        let vehicle_from_camera2 = rig.vehicle_from_camera2();
+        let vehicle_from_camera = rig.vehicle_from_camera();
         // The camera looks forward from in front of the IMU, left of it, and about .72 m above.
-        let forward = vehicle_from_camera2.rotation * Vector3::z();
+        let forward = vehicle_from_camera.rotation * Vector3::z();
         assert!((forward - Vector3::x()).norm() < 0.02);
-        let place = vehicle_from_camera2.translation;
+        let place = vehicle_from_camera.translation;
         assert!((place - Vector3::new(1.08, -0.26, 0.72)).norm() < 0.1, "{place}");
         let right = rig.camera2_from_camera3().translation;
         assert!((right.x - baseline_m()).abs() < 1e-12);

@@ -37,7 +37,7 @@ pub(super) fn measure(
     target: &Moment,
 ) -> [RelativePose; 4] {
     let motion = source.world_from_vehicle.inverse() * target.world_from_vehicle;
-    let camera_motion = motion.conjugated_by(&rig.calibration.camera2_from_vehicle);
+    let camera_motion = motion.conjugated_by(&rig.calibration.camera_from_vehicle);
     let measured = [
         (0, camera_motion, stereo_odometry_covariance(settings, rig, seed, source, target)),
         (1, motion, wheel_covariance(&motion)),

@@ -48,7 +48,7 @@ pub(super) struct World {
 impl World {
     /// The world of a drive; drives of one data set have seeds of their own.
     pub(super) fn new(settings: &SyntheticSettings, drive: usize) -> Self {
-        let seed = Random::new(settings.seed, Purpose::Drive, drive as u64).bits();
+        let seed = Random::new(settings.seed, Purpose::Recording, drive as u64).bits();
         let mut random = Random::new(seed, Purpose::Exposure, 0);
         let (azimuth, elevation) = (random.between(0.0, std::f64::consts::TAU), random.between(0.4, 1.1));
         let ((sin_a, cos_a), (sin_e, cos_e)) = (libm::sincos(azimuth), libm::sincos(elevation));

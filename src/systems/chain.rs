@@ -2,8 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use super::Trajectory;
 use crate::geometry::Pose;
+use crate::recordings::Trajectory;
 
 /// Poses of all frames, part by part: `first_from_frame`, where motions join a part's frames to its first one. Of several
 /// ways to a frame the one of fewest motions counts.

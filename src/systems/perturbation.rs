@@ -8,7 +8,6 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sha2::{Digest, Sha256};
 
-use crate::data::PairId;
 use crate::geometry::Tangent;
 
 /// Sizes are log-uniform over as many powers of ten, the base in the middle.
@@ -39,8 +38,7 @@ impl Perturbation {
     /// components from a tenth to one, and z standard normal; in half of the draws `e = s D(base) Q D(w) z` with random
     /// orthonormal Q, which mixes the components. One draw in twenty is ten times as large, up to a hundred times the
     /// base: far beyond what an alignment finds back from, so that a model learns what that looks like.
-    pub fn draw(&self, pair: PairId, draw: usize) -> Tangent {
-        let PairId { drive, source, target } = pair;
+    pub fn draw(&self, drive: usize, [source, target]: [usize; 2], draw: usize) -> Tangent {
         let mut random = ChaCha8Rng::from_seed(self.seeds[drive]);
         random.set_stream(((source as u64) << 40) ^ ((target as u64) << 16) ^ draw as u64);
         let mut size = 10f64.powf(DECADES * (random.random_range(0.0..1.0) - 0.5));
@@ -69,10 +67,6 @@ mod tests {
 
     const BASE: [f64; 6] = [0.1, 0.05, 0.02, 1e-3, 2e-3, 4e-3];
 
-    fn pair(source: usize) -> PairId {
-        PairId { drive: 0, source, target: source + 1 }
-    }
-
     fn perturbation(seed: u64, system: &str, drives: &[&str]) -> Perturbation {
         Perturbation::new(seed, system, BASE, drives.iter().copied())
     }
@@ -80,15 +74,15 @@ mod tests {
     #[test]
     fn a_draw_depends_on_seed_system_drive_frames_and_number_alone() {
         let made = perturbation(7, "any", &["monday", "tuesday"]);
-        let error = made.draw(pair(5), 2);
-        assert_eq!(error, perturbation(7, "any", &["sunday", "monday"]).draw(PairId { drive: 1, ..pair(5) }, 2));
+        let error = made.draw(0, [5, 6], 2);
+        assert_eq!(error, perturbation(7, "any", &["sunday", "monday"]).draw(1, [5, 6], 2));
         for other in [
-            made.draw(pair(5), 3),
-            made.draw(pair(6), 2),
-            made.draw(PairId { drive: 1, ..pair(5) }, 2),
-            made.draw(PairId { target: 10, ..pair(5) }, 2),
-            perturbation(8, "any", &["monday"]).draw(pair(5), 2),
-            perturbation(7, "other", &["monday"]).draw(pair(5), 2),
+            made.draw(0, [5, 6], 3),
+            made.draw(0, [6, 7], 2),
+            made.draw(1, [5, 6], 2),
+            made.draw(0, [5, 10], 2),
+            perturbation(8, "any", &["monday"]).draw(0, [5, 6], 2),
+            perturbation(7, "other", &["monday"]).draw(0, [5, 6], 2),
         ] {
             assert_ne!(error, other);
         }
@@ -97,7 +91,7 @@ mod tests {
     #[test]
     fn errors_are_of_every_size_around_the_base_and_have_no_side() {
         let made = perturbation(0, "any", &["monday"]);
-        let errors: Vec<Tangent> = (0..4000).map(|source| made.draw(pair(source), 0)).collect();
+        let errors: Vec<Tangent> = (0..4000).map(|source| made.draw(0, [source, source + 1], 0)).collect();
         for c in 0..6 {
             let mut sizes: Vec<f64> = errors.iter().map(|error| (error[c] / BASE[c]).abs()).collect();
             sizes.sort_by(f64::total_cmp);

@@ -4,15 +4,13 @@ use std::path::Path;
 
 use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 
-use super::trajectory::pose_from_quaternion;
 use crate::error::{Error, Place, Result, excerpt};
 use crate::files::{Form, Table, remarks};
 use crate::geometry::{Covariance6, ErrorFrame, Pose};
+use crate::recordings::{LARGEST_MOTION_M, pose_from_quaternion};
 
 /// Columns of frames and pose.
 const POSE_COLUMNS: [&str; 9] = ["source", "target", "x", "y", "z", "qx", "qy", "qz", "qw"];
-/// Longer motions between two frames are mistakes, m.
-pub(crate) const LARGEST_MOTION_M: f64 = 1e4;
 /// Entries of a covariance.
 const ENTRIES: usize = 36;
 

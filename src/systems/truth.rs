@@ -2,12 +2,12 @@
 
 use std::path::Path;
 
-use super::measurements::load_trajectory;
-use super::trajectory::Trajectory;
-use crate::config::TruthConfig;
-use crate::data::{Drive, Motions};
+use super::files::load_trajectory;
+use super::motions::{Steps, motions_of};
+use super::settings::TruthConfig;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
+use crate::recordings::{Motions, Recording, Trajectory};
 
 /// What counts as the true motion of the vehicle.
 #[derive(Clone, Debug)]
@@ -23,11 +23,11 @@ impl Truth {
     ///
     /// # Errors
     /// The trajectory file is malformed. A file that does not exist gives no poses.
-    pub fn load(truth: &TruthConfig, drive: &Drive, root: &Path) -> Result<Self> {
+    pub fn load(truth: &TruthConfig, drive: &Recording, root: &Path) -> Result<Self> {
         let calibration = &drive.calibration;
-        let vehicle_from = |frame| calibration.camera2_from_vehicle.inverse() * calibration.camera2_from(frame);
+        let vehicle_from = |frame| calibration.camera_from_vehicle.inverse() * calibration.camera_from(frame);
         match truth {
-            TruthConfig::Oxts {} => Ok(Self::Poses(drive.oxts_poses.clone())),
+            TruthConfig::Oxts {} => Ok(Self::Poses(drive.poses.clone())),
             TruthConfig::Trajectory(config) => {
                 let body_from_vehicle = vehicle_from(config.frame).inverse();
                 let poses = load_trajectory(config, drive, root)?.unwrap_or_default();
@@ -99,42 +99,5 @@ impl Truth {
                 .collect(),
         };
         frames.into_iter()
-    }
-}
-
-/// Which poses of a trajectory make motions.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Steps {
-    /// Those of neighbouring frames: where one is missing, nothing is known.
-    Consecutive,
-    /// Each and the next, however many frames lie between: what a system measured between its keyframes.
-    Keyframes,
-}
-
-/// Motions between poses.
-pub(super) fn motions_of(trajectory: &Trajectory, steps: Steps) -> Motions {
-    let pairs = trajectory.iter().zip(trajectory.iter().skip(1));
-    let wanted = pairs.filter(|((source, _), (target, _))| steps == Steps::Keyframes || **source + 1 == **target);
-    let motion = |((&source, world_from_source), (&target, world_from_target)): ((&usize, &Pose), (&usize, &Pose))| {
-        ((source, target), world_from_source.inverse() * *world_from_target)
-    };
-    wanted.map(motion).collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::geometry::Tangent;
-
-    #[test]
-    fn motions_of_keyframes_are_those_between_them() {
-        let forward = |frame: usize| Pose::exp(&Tangent::new(frame as f64, 0.0, 0.0, 0.0, 0.0, 0.0));
-        let trajectory = [0, 1, 3, 6, 9].map(|frame| (frame, forward(frame))).into();
-        let motions = motions_of(&trajectory, Steps::Keyframes);
-        let expected: Motions = [(0, 1), (1, 3), (3, 6), (6, 9)]
-            .map(|(source, target)| ((source, target), forward(target - source)))
-            .into();
-        assert_eq!(motions, expected);
-        assert_eq!(motions_of(&trajectory, Steps::Consecutive).into_keys().collect::<Vec<_>>(), [(0, 1)]);
     }
 }

@@ -14,19 +14,20 @@ use burn::tensor::{Device, Tensor};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::divergence::DivergenceRule;
 use super::events::{Event, Outcome, StopReason};
 use super::history::History;
 use super::manifest::Manifest;
 use super::run_folder::RunFolder;
 use super::setup::{constant_loss, describe, watched_split, watched_system};
-use super::stages::Stages;
 use crate::config::Config;
-use crate::data::{BadFrame, BatchLoader, Choice, Dataset, Images, LoadedBatch, PairReader, Request, Split, SplitName};
 use crate::error::{Error, Result};
 use crate::evaluation::{Prediction, Recalibration, mean_loss, predict_split, read_values, share_at_floor};
 use crate::kernels::Adam;
 use crate::model::{Architecture, CovarianceModel, MicroBatch};
+use crate::pairs::{
+    BadFrame, BatchLoader, Choice, Dataset, Images, LoadedBatch, PairReader, Request, Split, SplitName,
+};
+use crate::schedule::{DivergenceRule, Stages};
 use crate::systems::{Mixer, PlannedPair};
 
 /// Longest time between two saved states, so that a killed run loses little.
@@ -111,8 +112,8 @@ impl Learner {
         let model = manifest.architecture.init(manifest.initial_log_variance, &device.clone().autodiff());
         let optimiser = Adam::new().into();
         Ok(Self {
-            reader: Arc::new(PairReader::new(&config, &dataset, SplitName::Train)),
-            watched_reader: Arc::new(PairReader::new(&config, &dataset, watched)),
+            reader: Arc::new(PairReader::new(&config.pairs(), &dataset, SplitName::Train)),
+            watched_reader: Arc::new(PairReader::new(&config.pairs(), &dataset, watched)),
             constant_loss: constant_loss(&dataset, watched, manifest),
             device: device.clone(),
             history: History::new(config.systems.len()),
@@ -303,7 +304,7 @@ impl Learner {
         let model = self.run.load_model(&self.run.manifest()?, &self.device)?;
         let reader = match watched_split(&self.config) {
             SplitName::Validation => self.watched_reader.clone(),
-            _ => Arc::new(PairReader::new(&self.config, &self.dataset, SplitName::Validation)),
+            _ => Arc::new(PairReader::new(&self.config.pairs(), &self.dataset, SplitName::Validation)),
         };
         let learned = |system: usize| self.config.systems[system].share > 0.0;
         let split = self.dataset.validation.of_systems(learned);
@@ -330,7 +331,7 @@ impl Learner {
             observer(Event::Evaluation { done, pairs });
             self.stop_if_interrupted()
         };
-        predict_split(model, reader, split, images, &self.config.training, &self.device, &mut progress)
+        predict_split(model, reader, split, images, &self.config.training.loading(), &self.device, &mut progress)
     }
 
     fn stop_reason(&self) -> Option<StopReason> {
@@ -374,7 +375,12 @@ impl Learner {
                 .map(|choices| Request { choices: choices.to_vec(), images })
                 .collect::<Vec<_>>()
         });
-        BatchLoader::spawn(self.reader.clone(), Arc::new(split.pairs.clone()), requests, &self.config.training)
+        BatchLoader::spawn(
+            self.reader.clone(),
+            Arc::new(split.pairs.clone()),
+            requests,
+            &self.config.training.loading(),
+        )
     }
 }
 

@@ -1,11 +1,10 @@
-//! Training: the learner, the divergence rule that stops it, and the run folder it leaves behind.
+//! Training: the learner and the run folder it leaves behind.
 //!
-//! In: a [`Dataset`](crate::data::Dataset) and a [`Config`](crate::config::Config). Out: a run folder
+//! In: a [`Dataset`](crate::pairs::Dataset) and a [`Config`](crate::config::Config). Out: a run folder
 //! with the best model. Tells its observer what happens by typed [`Event`]s and never prints.
 
 mod curves;
 pub mod depth;
-mod divergence;
 mod events;
 mod history;
 mod learner;
@@ -13,11 +12,8 @@ mod lock;
 mod manifest;
 mod run_folder;
 mod saved_state;
-mod schedule;
 mod setup;
-mod stages;
 
-pub use divergence::DivergenceRule;
 pub use events::{Event, Outcome, StopReason};
 pub use history::{EpochRow, History};
 pub use learner::Learner;

@@ -3,12 +3,13 @@
 use burn::tensor::Device;
 
 use super::manifest::{BURN_VERSION, LAYOUT, Manifest, SystemSummary};
-use crate::config::{Config, MinLogVariance, WatchedSplit};
-use crate::data::{Dataset, SplitName};
+use crate::config::Config;
 use crate::device::device_name;
 use crate::evaluation::{Baselines, Prediction, mean_loss};
 use crate::geometry::{Conventions, Covariance6};
-use crate::model::Architecture;
+use crate::model::{Architecture, MinLogVariance};
+use crate::pairs::{Dataset, SplitName};
+use crate::schedule::WatchedSplit;
 
 /// Least variance an initial log-variance stands for: that of a system without any error, m² or rad².
 const LEAST_MEAN_SQUARED_ERROR: f64 = 1e-16;
@@ -65,7 +66,7 @@ pub(super) fn describe(config: &Config, dataset: &Dataset, device: &Device) -> M
         architecture: architecture(config, dataset),
         initial_log_variance: initial_log_variance(config, dataset),
         camera_from_vehicle: dataset.train.pairs.first().map(|pair| {
-            let matrix = dataset.drives[pair.id.drive].calibration.camera2_from_vehicle.matrix();
+            let matrix = dataset.drives[pair.id.drive].calibration.camera_from_vehicle.matrix();
             std::array::from_fn(|index| matrix[(index / 4, index % 4)])
         }),
         systems: systems.collect(),

@@ -7,10 +7,10 @@ use burn::tensor::Tensor;
 use predicates::prelude::PredicateBooleanExt;
 use predicates::str::contains;
 use relcov::config::Config;
-use relcov::data::{Dataset, PairBatch, PairReader, PairScope, SplitName};
 use relcov::device::open_device;
 use relcov::evaluation::read_pairs;
 use relcov::geometry::ErrorFrame;
+use relcov::pairs::{Dataset, PairBatch, PairReader, PairScope, SplitName};
 use relcov::synthetic::{Replace, SyntheticSettings, record};
 use relcov::warp::Warp;
 use relcov::{Measurement, Model, RightView};
@@ -64,9 +64,9 @@ fn train(name: &str, folder: &Path, first_system: &str) {
 fn predict_first_pair(run: &Path) {
     let device = open_device("flex").unwrap();
     let config = Config::load(&run.join("config.toml"), &[]).unwrap();
-    let dataset = Dataset::load(&config, PairScope::Images).unwrap();
+    let dataset = Dataset::load(&config.pairs(), PairScope::Images).unwrap();
     let pair = &dataset.test.pairs_of(0)[0];
-    let sample = PairReader::new(&config, &dataset, SplitName::Test).read(pair).unwrap().expect("readable");
+    let sample = PairReader::new(&config.pairs(), &dataset, SplitName::Test).read(pair).unwrap().expect("readable");
     let predicted = Model::load(run, &device)
         .unwrap()
         .predict(&Measurement {
@@ -169,8 +169,8 @@ stereo = true
     };
     record(&folder.path().join("street"), &settings, Replace::Never, &mut |_| Ok(())).unwrap();
     let config = Config::load(&path, &[]).unwrap();
-    let dataset = Dataset::load(&config, PairScope::Images).unwrap();
-    let reader = PairReader::new(&config, &dataset, SplitName::Train);
+    let dataset = Dataset::load(&config.pairs(), PairScope::Images).unwrap();
+    let reader = PairReader::new(&config.pairs(), &dataset, SplitName::Train);
     let sample = reader.read(&dataset.train.pairs[1]).unwrap().expect("readable");
     let device = open_device("flex").unwrap();
     let pairs = PairBatch::new(&[sample], &device).images.expect("included");

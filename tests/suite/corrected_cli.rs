@@ -9,9 +9,9 @@ use assert_cmd::Command;
 use base64::Engine;
 use predicates::prelude::PredicateBooleanExt;
 use predicates::str::contains;
-use relcov::data::Drive;
 use relcov::depth::{DepthMap, write_depth_png};
 use relcov::geometry::{Pose, Tangent};
+use relcov::recordings::load_kitti_raw;
 use relcov::systems::parse_relative_poses;
 use serde_json::{Value, json};
 
@@ -110,7 +110,8 @@ impl World {
 
     /// A request for a pair of the test drive, whose line in axes of the camera is given.
     fn request(&self, in_camera: &Value) -> Value {
-        let camera = Drive::load(&self.path().join("data"), "2026_01_01_drive_0003_sync").unwrap().calibration.camera2;
+        let camera =
+            load_kitti_raw(&self.path().join("data"), "2026_01_01_drive_0003_sync").unwrap().calibration.camera;
         let [source, target] = ["source", "target"].map(|end| in_camera[end].as_u64().unwrap() as usize);
         let pose = &in_camera["pose"];
         let numbers = ["translation", "quaternion_xyzw"].map(|part| pose[part].as_array().unwrap().clone()).concat();
@@ -169,8 +170,10 @@ fn corrected_measurements_are_what_the_lines_say_beside_the_measured_ones() {
     }
     // The correction is one motion, whichever axes it is said in.
     let (vehicle, camera) = (world.lines(&[]), world.lines(&["--frame", "camera"]));
-    let camera_from_vehicle =
-        Drive::load(&world.path().join("data"), "2026_01_01_drive_0003_sync").unwrap().calibration.camera2_from_vehicle;
+    let camera_from_vehicle = load_kitti_raw(&world.path().join("data"), "2026_01_01_drive_0003_sync")
+        .unwrap()
+        .calibration
+        .camera_from_vehicle;
     for (vehicle, camera) in vehicle.iter().zip(&camera) {
         let expected = pose(&vehicle["corrected_pose"]).conjugated_by(&camera_from_vehicle);
         assert!((pose(&camera["corrected_pose"]).matrix() - expected.matrix()).norm() < 1e-9);
@@ -205,7 +208,7 @@ fn relative_poses_and_trajectories_hold_the_corrected_motions() {
 #[test]
 fn corrected_measurements_are_nearer_to_the_truth() {
     let world = World::get();
-    let truth = Drive::load(&world.path().join("data"), "2026_01_01_drive_0003_sync").unwrap().oxts_poses;
+    let truth = load_kitti_raw(&world.path().join("data"), "2026_01_01_drive_0003_sync").unwrap().poses;
     let (mut before, mut after) = (Tangent::zeros(), Tangent::zeros());
     for line in world.lines(&[]) {
         let [source, target] = ["source", "target"].map(|end| line[end].as_u64().unwrap() as usize);

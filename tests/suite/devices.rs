@@ -3,13 +3,13 @@
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 use nalgebra::{Vector2, Vector3};
-use relcov::alignment::FEATURES;
-use relcov::data::{EvidenceBatch, ImageBatch, PairBatch, RightBatch};
+use relcov::alignment::{EvidenceInput, FEATURES};
 use relcov::device::open_device;
 use relcov::geometry::{Pinhole, Pose, Tangent};
 use relcov::loss::gaussian_loss;
-use relcov::model::{Architecture, EvidenceInput, ImagePair, InputBasis, MicroBatch, PoseInput};
+use relcov::model::{Architecture, ImagePair, InputBasis, MicroBatch, PoseInput};
 use relcov::network::{Head, ImageNetwork};
+use relcov::pairs::{EvidenceBatch, ImageBatch, PairBatch, RightBatch};
 use relcov::warp::Warp;
 
 use crate::support::device;

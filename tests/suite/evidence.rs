@@ -6,11 +6,12 @@ use std::sync::atomic::Ordering;
 
 use relcov::alignment::NoVerdict;
 use relcov::config::Config;
-use relcov::data::{Dataset, Pair, PairReader, PairScope, RgbImage, SplitName};
 use relcov::depth::DepthMap;
 use relcov::device::open_device;
 use relcov::error::Error;
 use relcov::geometry::{Pose, Tangent};
+use relcov::pairs::{Dataset, Pair, PairReader, PairScope, SplitName};
+use relcov::recordings::RgbImage;
 use relcov::synthetic::{Replace, SyntheticSettings, record};
 use relcov::training::{Event, Learner, RunFolder};
 use relcov::{Judgement, Measurement, Model};
@@ -82,7 +83,7 @@ fn config(runs: &Path, overrides: &[&str]) -> Config {
 }
 
 fn dataset(config: &Config) -> std::sync::Arc<Dataset> {
-    std::sync::Arc::new(Dataset::load(config, PairScope::Images).unwrap())
+    std::sync::Arc::new(Dataset::load(&config.pairs(), PairScope::Images).unwrap())
 }
 
 #[test]
@@ -90,7 +91,7 @@ fn alignment_sees_the_error_of_a_rendered_pair() {
     let folder = tempfile::tempdir().unwrap();
     let config = config(folder.path(), &[]);
     let dataset = dataset(&config);
-    let reader = PairReader::new(&config, &dataset, SplitName::Train);
+    let reader = PairReader::new(&config.pairs(), &dataset, SplitName::Train);
     let unit = Tangent::new(1.0, 0.6, -0.8, 0.1, 0.08, -0.1);
     let sizes = [1e-3, 1e-2, 1e-1];
     let mut offs = sizes.map(|_| Vec::new());
@@ -100,7 +101,7 @@ fn alignment_sees_the_error_of_a_rendered_pair() {
         let truth = Pose::exp(&-pair.error).conjugated_by(&camera_from_errors) * pair.source_from_target;
         let estimate = |error: &Tangent| {
             let source_from_target = Pose::exp(error).conjugated_by(&camera_from_errors) * truth;
-            let wrong = relcov::data::PairSample { source_from_target, ..sample.clone() };
+            let wrong = relcov::pairs::PairSample { source_from_target, ..sample.clone() };
             let evidence = wrong.align(&pair.errors_from_camera);
             assert_eq!(evidence.no_verdict, None);
             evidence.finest().error
@@ -211,7 +212,7 @@ fn a_measurement_that_shows_nothing_gets_the_priors_covariance_and_a_reason() {
     outcome.unwrap();
     let model = Model::load(config.run_folder(), &device).unwrap();
     let pair = &dataset.test.pairs_of(0)[0];
-    let sample = PairReader::new(&config, &dataset, SplitName::Test).read(pair).unwrap().unwrap();
+    let sample = PairReader::new(&config.pairs(), &dataset, SplitName::Test).read(pair).unwrap().unwrap();
     let whole = Measurement {
         source_image: (*sample.source_image).clone(),
         target_image: (*sample.target_image).clone(),

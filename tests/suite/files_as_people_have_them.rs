@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use assert_cmd::Command;
 use predicates::prelude::PredicateBooleanExt;
 use predicates::str::contains;
-use relcov::data::Drive;
+use relcov::recordings::load_kitti_raw;
 use serde_json::Value;
 
 use crate::predict_cli::World;
@@ -108,7 +108,7 @@ fn times_that_a_drive_does_not_have_are_named() {
     let iso = "2011-09-30T12:40:59.400000001Z\n2011-09-30T14:40:59.500000001+02:00\n2011-09-30 12:40:59.6\nyesterday\n";
     let whole = iso.to_owned() + &"\n".repeat(19) + "tomorrow\n";
     std::fs::write(drive.join("image_02/timestamps.txt"), whole).unwrap();
-    let known = Drive::load(folder.path(), DRIVE).unwrap();
+    let known = load_kitti_raw(folder.path(), DRIVE).unwrap();
     let times: Vec<i64> = known.times.values().map(|time| time.nanoseconds()).collect();
     assert_eq!(times, [1_317_386_459_400_000_001, 1_317_386_459_500_000_001, 1_317_386_459_600_000_000]);
     let unreadable = contains("2 problems with its times; the first: ")

@@ -8,7 +8,7 @@ use base64::engine::general_purpose::STANDARD;
 use image::{DynamicImage, ImageBuffer, ImageFormat, Luma};
 use predicates::prelude::PredicateBooleanExt;
 use predicates::str::contains;
-use relcov::data::{RgbImage, decode_image, read_image};
+use relcov::recordings::{RgbImage, decode_image, read_image};
 use serde_json::{Value, json};
 
 use crate::predict_cli::World;

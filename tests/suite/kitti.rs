@@ -2,7 +2,7 @@
 
 use nalgebra::Vector6;
 use relcov::config::Config;
-use relcov::data::{Dataset, PairScope, Split, SplitName};
+use relcov::pairs::{Dataset, PairScope, Split, SplitName};
 
 use crate::support::shared;
 
@@ -12,7 +12,7 @@ fn dataset(overrides: &[&str]) -> Option<Dataset> {
     let mut settings = vec![format!("data.root={:?}", root.display().to_string())];
     settings.extend(overrides.iter().map(|text| (*text).to_owned()));
     let config = Config::load("configs/kitti.toml".as_ref(), &settings).unwrap();
-    Some(Dataset::load(&config, PairScope::Poses).unwrap())
+    Some(Dataset::load(&config.pairs(), PairScope::Poses).unwrap())
 }
 
 fn rms(split: &Split, system: usize) -> Vector6<f64> {
@@ -89,7 +89,7 @@ fn the_error_frame_turns_the_axes() {
     assert!((turned - c).norm() < 0.05 * v.norm(), "{v} against {c}");
     let dataset = dataset(&[]).expect("it was there before");
     let pair = &dataset.test.pairs[0];
-    let world_from_vehicle = dataset.drives[pair.id.drive].oxts_poses[&pair.id.source].rotation;
+    let world_from_vehicle = dataset.drives[pair.id.drive].poses[&pair.id.source].rotation;
     assert!(world_from_vehicle.angle() > 0.1, "the vehicle does not head east, so the axes differ");
     for part in [0, 3] {
         let turned = world_from_vehicle * vehicle.fixed_rows::<3>(part);

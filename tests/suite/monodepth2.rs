@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use burn::tensor::{Device, Tensor, TensorData};
-use relcov::data::read_image;
 use relcov::depth::monodepth2::PublishedWeights;
+use relcov::recordings::read_image;
 use safetensors::SafeTensors;
 
 use crate::support::device;

@@ -7,9 +7,9 @@ use std::path::{Path, PathBuf};
 use assert_cmd::Command;
 use predicates::prelude::PredicateBooleanExt;
 use predicates::str::contains;
-use relcov::data::Drive;
 use relcov::fusion::parse_fixes;
-use relcov::systems::{format_relative_pose, parse_kitti_trajectory, parse_relative_poses, relative_pose_header};
+use relcov::recordings::{load_kitti_raw, parse_kitti_trajectory};
+use relcov::systems::{format_relative_pose, parse_relative_poses, relative_pose_header};
 
 use crate::predict_cli::World;
 use crate::support::{DRIVE, shared, write_drive};
@@ -176,14 +176,14 @@ fn a_packet_before_the_first_fix_does_not_stretch_the_drive() {
     let mut words: Vec<&str> = text.split(' ').collect();
     (words[0], words[1]) = ("0", "0");
     std::fs::write(&path, words.join(" ")).unwrap();
-    let drive = Drive::load(folder.path(), DRIVE).unwrap();
+    let drive = load_kitti_raw(folder.path(), DRIVE).unwrap();
     assert!(
         drive.problems[0].contains("0000000000.txt, line 1: found latitude 0, longitude 0"),
         "{:?}",
         drive.problems
     );
-    assert_eq!(drive.oxts_poses.keys().copied().collect::<Vec<_>>(), (1..8).collect::<Vec<_>>());
-    let step = drive.oxts_poses[&1].inverse() * drive.oxts_poses[&2];
+    assert_eq!(drive.poses.keys().copied().collect::<Vec<_>>(), (1..8).collect::<Vec<_>>());
+    let step = drive.poses[&1].inverse() * drive.poses[&2];
     // write_drive moves a metre a frame.
     assert!((step.translation.norm() - 1.0).abs() < 1e-4, "{}", step.translation.norm());
 }
@@ -201,9 +201,9 @@ fn a_drive_may_cross_the_date_line() {
         (packet[0], packet[1]) = ("60".to_owned(), format!("{longitude:.15}"));
         std::fs::write(packets.join(format!("{frame:010}.txt")), packet.join(" ")).unwrap();
     }
-    let drive = Drive::load(folder.path(), DRIVE).unwrap();
+    let drive = load_kitti_raw(folder.path(), DRIVE).unwrap();
     for frame in 0..3 {
-        let step = drive.oxts_poses[&frame].inverse() * drive.oxts_poses[&(frame + 1)];
+        let step = drive.poses[&frame].inverse() * drive.poses[&(frame + 1)];
         assert!((step.translation.x - 1.0).abs() < 1e-6, "{}", step.translation);
     }
 }

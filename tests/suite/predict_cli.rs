@@ -10,9 +10,9 @@ use assert_cmd::Command;
 use base64::Engine;
 use predicates::prelude::PredicateBooleanExt;
 use predicates::str::contains;
-use relcov::data::{Calibration, Drive};
 use relcov::geometry::{Covariance6, Pose};
-use relcov::systems::{parse_kitti_trajectory, parse_relative_poses};
+use relcov::recordings::{Calibration, load_kitti_raw, parse_kitti_trajectory};
+use relcov::systems::parse_relative_poses;
 use serde_json::{Value, json};
 
 use crate::support::{DRIVE, write_config, write_drive};
@@ -72,11 +72,11 @@ impl World {
 
 /// Measured motions of the drive in axes of camera 2, and its calibration.
 fn measured(root: &Path) -> (Vec<Pose>, Calibration) {
-    let drive = Drive::load(root, DRIVE).unwrap();
+    let drive = load_kitti_raw(root, DRIVE).unwrap();
     let path = root.join("vo/2020_01_01_drive_0001.txt");
     let poses = parse_kitti_trajectory(&std::fs::read_to_string(&path).unwrap(), &path, 0).unwrap();
-    let camera2_from_camera0 = drive.calibration.camera2_from_camera0;
-    let motion = |frame: usize| (poses[&frame].inverse() * poses[&(frame + 1)]).conjugated_by(&camera2_from_camera0);
+    let camera_from_camera0 = drive.calibration.camera_from_camera0;
+    let motion = |frame: usize| (poses[&frame].inverse() * poses[&(frame + 1)]).conjugated_by(&camera_from_camera0);
     ((0..FRAMES - 1).map(motion).collect(), drive.calibration)
 }
 
@@ -88,13 +88,13 @@ fn numbers(pose: &Pose) -> [f64; 7] {
 
 fn write_manifest(path: &Path, root: &Path) {
     let (motions, calibration) = measured(root);
-    let camera = calibration.camera2;
-    let truth = Drive::load(root, DRIVE).unwrap().oxts_poses;
+    let camera = calibration.camera;
+    let truth = load_kitti_raw(root, DRIVE).unwrap().poses;
     let mut text = "system,sequence,source,target,source_image,target_image,fx,fy,cx,cy,x,y,z,qx,qy,qz,qw,true_x,true_y,true_z,true_qx,true_qy,true_qz,true_qw\n".to_owned();
     for (source, motion) in motions.iter().enumerate() {
         let image = |frame: usize| format!("2020_01_01/{DRIVE}/image_02/data/{frame:010}.png");
         let target = source + 1;
-        let true_motion = (truth[&source].inverse() * truth[&target]).conjugated_by(&calibration.camera2_from_vehicle);
+        let true_motion = (truth[&source].inverse() * truth[&target]).conjugated_by(&calibration.camera_from_vehicle);
         let values = [camera.fx, camera.fy, camera.cx, camera.cy].into_iter();
         let values: Vec<String> =
             values.chain(numbers(motion)).chain(numbers(&true_motion)).map(|value| format!("{value:?}")).collect();
@@ -126,7 +126,7 @@ fn a_drive_a_manifest_and_a_stream_agree() {
     assert_eq!(of_drive.len(), FRAMES - 1);
     assert_eq!((of_drive[0]["frame"].as_str(), of_drive[0]["perturbation"].as_str()), (Some("vehicle"), Some("left")));
 
-    let vehicle = numbers(&calibration.camera2_from_vehicle);
+    let vehicle = numbers(&calibration.camera_from_vehicle);
     let camera_from_vehicle = format!("data.camera_from_vehicle={vehicle:?}");
     let manifest = world.manifest();
     // A manifest's configuration may say where its vehicle is.
@@ -143,7 +143,7 @@ fn a_drive_a_manifest_and_a_stream_agree() {
     }
 
     let image = |frame: usize| world.path().join(format!("2020_01_01/{DRIVE}/image_02/data/{frame:010}.png"));
-    let camera = calibration.camera2;
+    let camera = calibration.camera;
     let request = |source: usize| {
         let encoded = base64::engine::general_purpose::STANDARD.encode(std::fs::read(image(source)).unwrap());
         let mut motion = motions[source].matrix().transpose().as_slice().to_vec();
@@ -245,9 +245,9 @@ fn sides_axes_and_floors_are_what_was_asked_for() {
     let (motions, calibration) = measured(world.path());
     for source in 0..FRAMES - 1 {
         let covariance_left = covariance(&left[source]);
-        let motion = motions[source].conjugated_by(&calibration.camera2_from_vehicle.inverse());
+        let motion = motions[source].conjugated_by(&calibration.camera_from_vehicle.inverse());
         assert!(difference(&covariance_left.right_of(&motion), &covariance(&right[source])) < 1e-9);
-        let in_camera = covariance_left.transported(&calibration.camera2_from_vehicle);
+        let in_camera = covariance_left.transported(&calibration.camera_from_vehicle);
         assert!(difference(&in_camera, &covariance(&camera[source])) < 1e-9);
         assert_eq!(covariance(&floored[source]).variance()[5], 3.0);
     }
@@ -375,7 +375,7 @@ fn a_model_needs_its_configuration_only_for_depth_that_is_not_given() {
     }
     let device = relcov::device::open_device("flex").unwrap();
     let model = relcov::Model::load(run.path(), &device).unwrap();
-    let image = relcov::data::RgbImage { width: 64, height: 32, bytes: vec![128; 3 * 64 * 32] };
+    let image = relcov::recordings::RgbImage { width: 64, height: 32, bytes: vec![128; 3 * 64 * 32] };
     let camera = relcov::geometry::Pinhole { fx: 40.0, fy: 40.0, cx: 31.5, cy: 15.5, width: 64, height: 32 };
     let message = model.live_depth().estimate(&image, &camera).unwrap_err().to_string();
     assert!(message.contains("config.toml"), "{message}");

@@ -6,9 +6,10 @@ use std::path::{Path, PathBuf};
 use burn::tensor::{Device, Tensor, TensorData};
 use nalgebra::Vector2;
 use relcov::config::Config;
-use relcov::data::{Dataset, Drive, PairScope, read_image};
 use relcov::depth::{project_scan, read_depth_png, read_scan};
 use relcov::geometry::Pose;
+use relcov::pairs::{Dataset, PairScope};
+use relcov::recordings::{load_kitti_raw, read_image};
 use relcov::synthetic::{RecordingProgress, Replace, SYSTEMS, SyntheticSettings, is_rendered, record};
 use relcov::systems::parse_relative_poses;
 use relcov::warp::Warp;
@@ -63,10 +64,10 @@ fn median(mut values: Vec<f64>) -> f64 {
 #[test]
 fn warping_by_true_depth_and_pose_reproduces_the_next_image() {
     let folder = rendered(&plain(24));
-    let drive = Drive::load(folder.path(), DRIVE).unwrap();
-    let camera = drive.calibration.camera2;
-    let vehicle_from_camera = drive.calibration.camera2_from_vehicle.inverse();
-    let world_from_camera = |frame: usize| drive.oxts_poses[&frame] * vehicle_from_camera;
+    let drive = load_kitti_raw(folder.path(), DRIVE).unwrap();
+    let camera = drive.calibration.camera;
+    let vehicle_from_camera = drive.calibration.camera_from_vehicle.inverse();
+    let world_from_camera = |frame: usize| drive.poses[&frame] * vehicle_from_camera;
     let device = Device::flex();
     let (width, height) = (camera.width, camera.height);
     let depth_of = |frame| read_depth_png(&frame_file(folder.path(), "depth_02", frame, "png")).unwrap();
@@ -117,10 +118,10 @@ fn warping_by_true_depth_and_pose_reproduces_the_next_image() {
 #[test]
 fn lidar_and_depth_agree() {
     let folder = rendered(&plain(3));
-    let drive = Drive::load(folder.path(), DRIVE).unwrap();
+    let drive = load_kitti_raw(folder.path(), DRIVE).unwrap();
     let points = read_scan(&drive.scans[&2]).unwrap();
     assert!(points.len() > 8_000);
-    let projected = project_scan(&points, &drive.calibration.camera2_from_velodyne, &drive.calibration.camera2);
+    let projected = project_scan(&points, &drive.calibration.camera_from_velodyne, &drive.calibration.camera);
     let depth = read_depth_png(&frame_file(folder.path(), "depth_02", 2, "png")).unwrap();
     let known = projected.depth_m.iter().zip(&depth.depth_m).filter(|&(&lidar, &depth)| lidar > 0.0 && depth > 0.0);
     let errors: Vec<f64> = known.map(|(lidar, depth)| f64::from((lidar - depth).abs() / depth)).collect();
@@ -131,8 +132,8 @@ fn lidar_and_depth_agree() {
 #[test]
 fn left_and_right_images_agree_by_disparity() {
     let folder = rendered(&plain(3));
-    let drive = Drive::load(folder.path(), DRIVE).unwrap();
-    let camera = drive.calibration.camera2;
+    let drive = load_kitti_raw(folder.path(), DRIVE).unwrap();
+    let camera = drive.calibration.camera;
     // P_rect_03 − P_rect_02, in metres: the readers of pairs never need it.
     let calibration = std::fs::read_to_string(folder.path().join("2026_01_01/calib_cam_to_cam.txt")).unwrap();
     let offset = |key: &str| -> f64 {
@@ -164,11 +165,8 @@ fn left_and_right_images_agree_by_disparity() {
 fn packets_return_the_poses_the_measurements_were_made_from() {
     let settings = plain(40);
     let folder = rendered(&settings);
-    let drive = Drive::load(folder.path(), DRIVE).unwrap();
-    assert_eq!(
-        (drive.images.len(), drive.right_images.len(), drive.scans.len(), drive.oxts_poses.len()),
-        (40, 40, 40, 40)
-    );
+    let drive = load_kitti_raw(folder.path(), DRIVE).unwrap();
+    assert_eq!((drive.images.len(), drive.right_images.len(), drive.scans.len(), drive.poses.len()), (40, 40, 40, 40));
     assert!(drive.problems.is_empty() && drive.times.len() == 40);
     // With hardly any pixel noise the visual odometry's error is far below a millimetre.
     let exact =
@@ -178,8 +176,8 @@ fn packets_return_the_poses_the_measurements_were_made_from() {
     let measured = parse_relative_poses(&std::fs::read_to_string(&path).unwrap(), &path).unwrap();
     assert_eq!(measured.len(), 39);
     for pose in &measured {
-        let motion = drive.oxts_poses[&pose.source].inverse() * drive.oxts_poses[&pose.target];
-        let truth = motion.conjugated_by(&drive.calibration.camera2_from_vehicle);
+        let motion = drive.poses[&pose.source].inverse() * drive.poses[&pose.target];
+        let truth = motion.conjugated_by(&drive.calibration.camera_from_vehicle);
         let error = Pose::error(&pose.source_from_target, &truth);
         assert!(error.fixed_rows::<3>(0).norm() < 1e-3 && error.fixed_rows::<3>(3).norm() < 1e-5, "{error}");
     }
@@ -234,15 +232,15 @@ fn other_data_are_never_overwritten() {
 #[test]
 fn every_measurement_states_its_covariance_and_its_errors_fit_it() {
     let folder = rendered(&SyntheticSettings { frames: 300, lidar_steps: 0, ..plain(300) });
-    let drive = Drive::load(folder.path(), DRIVE).unwrap();
+    let drive = load_kitti_raw(folder.path(), DRIVE).unwrap();
     for system in SYSTEMS {
         let path = folder.path().join(format!("measurements/{system}/2026_01_01_drive_0001.csv"));
         let measured = parse_relative_poses(&std::fs::read_to_string(&path).unwrap(), &path).unwrap();
         let mut distances = 0.0;
         for pose in &measured {
-            let motion = drive.oxts_poses[&pose.source].inverse() * drive.oxts_poses[&pose.target];
+            let motion = drive.poses[&pose.source].inverse() * drive.poses[&pose.target];
             let truth =
-                if system == "vo" { motion.conjugated_by(&drive.calibration.camera2_from_vehicle) } else { motion };
+                if system == "vo" { motion.conjugated_by(&drive.calibration.camera_from_vehicle) } else { motion };
             let error = Pose::error(&pose.source_from_target, &truth);
             let factor = pose.covariance.unwrap().matrix().cholesky().unwrap();
             distances += error.dot(&factor.solve(&error));
@@ -269,7 +267,7 @@ fn true_covariances_fit_the_errors_in_every_error_frame() {
             "name = \"frames\"\n[data]\nroot = \".\"\nerror_frame = \"{frame}\"\ntrain = {train}\nvalidation = {validation}\ntest = {test}\n{systems}"
         );
         std::fs::write(&config, text).unwrap();
-        let dataset = Dataset::load(&Config::load(&config, &[]).unwrap(), PairScope::Poses).unwrap();
+        let dataset = Dataset::load(&Config::load(&config, &[]).unwrap().pairs(), PairScope::Poses).unwrap();
         assert_eq!(dataset.simulated, [true, true]);
         for (system, name) in ["vo", "icp"].into_iter().enumerate() {
             let splits = [&dataset.train, &dataset.validation, &dataset.test];
@@ -352,7 +350,7 @@ fn streets_are_rich_and_poor_the_car_turns_and_stops() {
     let (mut speeds, mut turns, mut sigmas) = (Vec::new(), 0, Vec::new());
     for drive in 1..=3 {
         let name = format!("2026_01_01_drive_{drive:04}");
-        let poses = Drive::load(folder.path(), &format!("{name}_sync")).unwrap().oxts_poses;
+        let poses = load_kitti_raw(folder.path(), &format!("{name}_sync")).unwrap().poses;
         let steps = (0..299).map(|frame| (poses[&frame].inverse() * poses[&(frame + 1)]).log());
         for step in steps {
             speeds.push(10.0 * step.fixed_rows::<3>(0).norm());

@@ -7,10 +7,10 @@ use burn::module::Module;
 use burn::optim::GradientsAccumulator;
 use burn::tensor::Tensor;
 use relcov::config::Config;
-use relcov::data::{Dataset, PairBatch, PairReader, PairSample, PairScope, SplitName};
 use relcov::device::open_device;
 use relcov::error::Error;
 use relcov::model::{Architecture, InputBasis, MicroBatch};
+use relcov::pairs::{Dataset, PairBatch, PairReader, PairSample, PairScope, SplitName};
 use relcov::training::{Event, Learner, RunFolder};
 
 use crate::support::{write_config, write_drive};
@@ -33,7 +33,7 @@ impl Made {
     }
 
     fn dataset(&self, config: &Config) -> Arc<Dataset> {
-        Arc::new(Dataset::load(config, PairScope::Images).unwrap())
+        Arc::new(Dataset::load(&config.pairs(), PairScope::Images).unwrap())
     }
 }
 
@@ -42,7 +42,7 @@ fn micro_batches_give_the_gradient_of_the_whole_batch() {
     let made = Made::new();
     let config = made.config(&[]);
     let dataset = made.dataset(&config);
-    let reader = PairReader::new(&config, &dataset, SplitName::Train);
+    let reader = PairReader::new(&config.pairs(), &dataset, SplitName::Train);
     let samples: Vec<PairSample> =
         dataset.train.pairs.iter().take(8).map(|pair| reader.read(pair).unwrap().expect("readable")).collect();
     let device = open_device("flex").unwrap();
@@ -158,7 +158,7 @@ fn a_split_that_shares_pairs_with_training_is_refused() {
     let made = Made::new();
     for split in ["validation", "test"] {
         let config = made.config(&[&format!("data.{split}.0.frames=[15, 18]")]);
-        let message = Dataset::load(&config, PairScope::Images).err().unwrap().to_string();
+        let message = Dataset::load(&config.pairs(), PairScope::Images).err().unwrap().to_string();
         assert!(message.contains(&format!("data.{split}")) && message.contains("frames 15 and 16"), "{message}");
     }
 }
@@ -168,7 +168,7 @@ fn held_out_pairs_share_no_image_with_training_pairs() {
     let made = Made::new();
     let config = made.config(&["data.validation=[]", "data.validation_fraction=0.25"]);
     let dataset = made.dataset(&config);
-    let frames = |split: &relcov::data::Split| -> std::collections::BTreeSet<usize> {
+    let frames = |split: &relcov::pairs::Split| -> std::collections::BTreeSet<usize> {
         split.pairs.iter().flat_map(|pair| [pair.id.source, pair.id.target]).collect()
     };
     // Of the 16 pairs 0…15, four are held out, and the one before them goes.
@@ -245,11 +245,11 @@ fn every_road_of_a_measurement_leads_to_the_same_pairs() {
     let data = made.folder.path().join("data");
     let reference = made.dataset(&made.config(&[]));
     let calibration = &reference.drives[0].calibration;
-    let camera2_from_vehicle = calibration.camera2_from_vehicle;
+    let camera_from_vehicle = calibration.camera_from_vehicle;
     // The made drive's camera 0 sits beside camera 2.
-    assert!(calibration.camera2_from_camera0.translation.x < -0.01);
+    assert!(calibration.camera_from_camera0.translation.x < -0.01);
     let trajectory = std::fs::read_to_string(data.join("vo/2020_01_01_drive_0001.txt")).unwrap();
-    let trajectory = relcov::systems::parse_kitti_trajectory(&trajectory, "vo".as_ref(), 0).unwrap();
+    let trajectory = relcov::recordings::parse_kitti_trajectory(&trajectory, "vo".as_ref(), 0).unwrap();
 
     let mut timestamps = String::new();
     let (mut tum, mut relative) = (String::new(), "source,target,x,y,z,qx,qy,qz,qw\n".to_owned());
@@ -258,14 +258,14 @@ fn every_road_of_a_measurement_leads_to_the_same_pairs() {
         let t = pose.translation;
         [t.x, t.y, t.z, q.i, q.j, q.k, q.w].map(|value| format!("{value:.15}"))
     };
-    let vehicle_from_camera0 = camera2_from_vehicle.inverse() * calibration.camera2_from_camera0;
+    let vehicle_from_camera0 = camera_from_vehicle.inverse() * calibration.camera_from_camera0;
     for (&frame, world_from_camera0) in &trajectory {
         timestamps += &format!("2020-01-01 00:00:{:05.2}\n", 0.1 * frame as f64);
         let world_from_vehicle = world_from_camera0.conjugated_by(&vehicle_from_camera0);
         tum += &format!("{:.3} {}\n", 1_577_836_800.0 + 0.1 * frame as f64, row(&world_from_vehicle).join(" "));
         if let Some(world_from_next) = trajectory.get(&(frame + 1)) {
             let motion = world_from_camera0.inverse() * *world_from_next;
-            let in_camera2 = motion.conjugated_by(&calibration.camera2_from_camera0);
+            let in_camera2 = motion.conjugated_by(&calibration.camera_from_camera0);
             relative += &format!("{frame},{},{}\n", frame + 1, row(&in_camera2).join(","));
         }
     }
@@ -299,14 +299,14 @@ fn the_pose_of_the_warp_is_that_of_camera_2() {
     assert!((truth.source_from_target.translation - expected).norm() < 1e-3, "{:?}", truth.source_from_target);
     // Camera 0 sees a yaw φ about its own y axis; camera 2, l to its right, also moves by (I − R) l.
     let measured = &dataset.train.pairs[1];
-    let camera2_from_camera0 = dataset.drives[0].calibration.camera2_from_camera0;
-    let offset = camera2_from_camera0.translation;
-    let in_camera0 = measured.source_from_target.conjugated_by(&camera2_from_camera0.inverse());
+    let camera_from_camera0 = dataset.drives[0].calibration.camera_from_camera0;
+    let offset = camera_from_camera0.translation;
+    let in_camera0 = measured.source_from_target.conjugated_by(&camera_from_camera0.inverse());
     let rotation = measured.source_from_target.rotation;
     let by_hand = in_camera0.translation + offset - rotation * offset;
     assert!((measured.source_from_target.translation - by_hand).norm() < 1e-12);
     let text = std::fs::read_to_string(made.folder.path().join("data/vo/2020_01_01_drive_0001.txt")).unwrap();
-    let file = relcov::systems::parse_kitti_trajectory(&text, "vo".as_ref(), 0).unwrap();
+    let file = relcov::recordings::parse_kitti_trajectory(&text, "vo".as_ref(), 0).unwrap();
     let from_file = file[&1].inverse() * file[&2];
     assert!((from_file.matrix() - in_camera0.matrix()).norm() < 1e-12);
 }

@@ -11,9 +11,9 @@ use nalgebra::Vector6;
 use super::{Finding, Say};
 use crate::cli::INTERRUPTED;
 use crate::config::Config;
-use crate::data::{Dataset, PairReader, PairScope, SplitName};
 use crate::device::device_name;
 use crate::error::{Error, Result};
+use crate::pairs::{Dataset, PairReader, PairScope, SplitName};
 use crate::predict::Model;
 use crate::synthetic::{Replace, record};
 use crate::training::{Event, Learner};
@@ -74,9 +74,9 @@ fn render(config: &Config, _: &Device) -> Result<Finding> {
 
 /// Of the errors of visual odometry, alignment must find most.
 fn align(config: &Config, _: &Device) -> Result<Finding> {
-    let dataset = Dataset::load(config, PairScope::Images)?;
+    let dataset = Dataset::load(&config.pairs(), PairScope::Images)?;
     let split = dataset.require(SplitName::Train)?;
-    let reader = PairReader::new(config, &dataset, SplitName::Train);
+    let reader = PairReader::new(&config.pairs(), &dataset, SplitName::Train);
     let (mut before, mut after, mut pairs, mut seconds) = (Vector6::zeros(), Vector6::zeros(), 0, 0.0);
     for pair in split.pairs_of(0) {
         let Some(sample) = reader.read(pair)? else { continue };
@@ -100,7 +100,7 @@ fn align(config: &Config, _: &Device) -> Result<Finding> {
 
 /// Losses must fall, and the kept model must load.
 fn train(config: &Config, device: &Device) -> Result<Finding> {
-    let dataset = Arc::new(Dataset::load(config, PairScope::Images)?);
+    let dataset = Arc::new(Dataset::load(&config.pairs(), PairScope::Images)?);
     let mut learner = Learner::start(config.clone(), dataset, device, false)?;
     let (mut losses, mut pairs_per_second) = (Vec::new(), 0.0);
     learner.train(&mut |event| {

@@ -14,10 +14,10 @@ use crate::export::fused_trajectory;
 use crate::files::{read_text, require_apart, require_slots, write_atomically};
 use crate::fusion::{Odometry, SimulatedFixes, TrajectoryScores, fuse, parse_fixes};
 use crate::geometry::{Covariance6, ErrorFrame, Tangent};
+use crate::recordings::{KittiPoses, Trajectory, parse_kitti_poses};
 use crate::report::{FusionRow, fusion_table};
 use crate::systems::{
-    Joined, KittiPoses, RelativePose, Statement, Trajectory, frames_of_rows, parse_bare_relative_poses,
-    parse_kitti_poses, parse_relative_poses,
+    Joined, RelativePose, Statement, frames_of_rows, parse_bare_relative_poses, parse_relative_poses,
 };
 
 /// Systems in files: one trajectory.

@@ -9,13 +9,14 @@ use super::FuseArguments;
 use crate::cli::Terminal;
 use crate::cli::eval::{Recalibrate, baselines_of, fit_baselines, predict_table};
 use crate::cli::progress::note;
-use crate::config::{Config, SystemConfig, SystemSource};
-use crate::data::{Dataset, SplitName};
+use crate::config::Config;
 use crate::error::{Error, Result};
 use crate::evaluation::{Baselines, Method, PairTable, SystemPairs};
 use crate::fusion::Odometry;
 use crate::geometry::{Covariance6, ErrorFrame, Pose};
-use crate::systems::{RelativePose, Trajectory, Truth};
+use crate::pairs::{Dataset, SplitName};
+use crate::recordings::Trajectory;
+use crate::systems::{RelativePose, SystemConfig, SystemSource, Truth};
 use crate::training::{Manifest, RunFolder};
 
 /// What there is to fuse: measurements, and what gives them covariances.
@@ -178,7 +179,7 @@ pub(super) fn odometry_of(
     let drive = &measured.dataset.drives[drive];
     let vehicle_from_errors = match measured.table.error_frame {
         ErrorFrame::Vehicle => Pose::identity(),
-        ErrorFrame::Camera => drive.calibration.camera2_from_vehicle.inverse(),
+        ErrorFrame::Camera => drive.calibration.camera_from_vehicle.inverse(),
         ErrorFrame::World => {
             return Err(Error::config("data.error_frame", "`world` cannot be fused; take vehicle or camera"));
         }

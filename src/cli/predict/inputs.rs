@@ -3,13 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use super::{BodyArgument, MeasurementFormat, PoseNumbers, PredictArguments};
-use crate::config::{
-    Config, DataConfig, DepthConfig, DriveConfig, MeasurementFrame, RelativeConfig, SystemConfig, SystemSource,
-    TrajectoryConfig, TrajectoryFormat, TruthConfig,
-};
-use crate::data::Manifest;
+use crate::config::Config;
+use crate::depth::DepthConfig;
 use crate::error::{Error, Place, Result};
 use crate::files::extension;
+use crate::pairs::{DataConfig, DriveConfig};
+use crate::recordings::{Manifest, MeasurementFrame};
+use crate::systems::{RelativeConfig, SystemConfig, SystemSource, TrajectoryConfig, TrajectoryFormat, TruthConfig};
 
 /// The measurements of one drive.
 pub(super) fn of_drive(arguments: &PredictArguments, config: Config, drive: &Path) -> anyhow::Result<Config> {
@@ -61,7 +61,7 @@ fn drive_below_root(folder: &Path) -> Result<(PathBuf, String)> {
 /// All measurements of a manifest.
 pub(super) fn of_manifest(arguments: &PredictArguments, config: Config, path: &Path) -> anyhow::Result<Config> {
     let manifest = Manifest::load(path)?;
-    let frame = arguments.measurement_frame.map_or(MeasurementFrame::Camera2, BodyArgument::frame);
+    let frame = arguments.measurement_frame.map_or(MeasurementFrame::Camera, BodyArgument::frame);
     let system =
         |name: &str| SystemConfig { name: name.to_owned(), share: 1.0, source: SystemSource::Manifest { frame } };
     let drives = manifest.sequences().map(|name| DriveConfig { drive: name.to_owned(), frames: None });

@@ -5,7 +5,7 @@ use plotters::prelude::*;
 
 use super::Drawing;
 use super::canvas::{ERROR, FONT, GREY, Style, draw_axes, draw_line, full_line, sheet, style, thin};
-use crate::systems::Trajectory;
+use crate::recordings::Trajectory;
 
 /// One drive's trajectories.
 #[derive(Clone, Debug)]

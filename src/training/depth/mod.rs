@@ -20,9 +20,7 @@ use serde::{Deserialize, Serialize};
 
 use super::RunFolder;
 use super::saved_state::{damaged, read_records, write_records};
-use super::schedule::rate_factor;
-use crate::config::{Config, DepthTrainingConfig};
-use crate::data::{Drive, SplitName};
+use crate::config::Config;
 use crate::depth::monodepth2::{Monodepth2, depth_to_disparity};
 use crate::depth::{DepthEstimator, holds_metric_weights, holds_published_weights, require_aspect};
 use crate::error::{Error, Result};
@@ -30,6 +28,9 @@ use crate::evaluation::read_values;
 use crate::files::{read_text, sha256_hex, write_atomically};
 use crate::geometry::Pinhole;
 use crate::kernels::Adam;
+use crate::pairs::SplitName;
+use crate::recordings::Recording;
+use crate::schedule::{DepthTrainingConfig, rate_factor};
 use reprojection::{NEIGHBOURS, ReprojectionLoss, reprojection_loss};
 use targets::{TargetBatches, Targets};
 
@@ -172,8 +173,8 @@ impl DepthLearner {
     fn new(config: Config, device: &Device, open: impl FnOnce() -> Result<RunFolder>) -> Result<Self> {
         let dataset = Targets::load(&config)?;
         let DepthTrainingConfig { width, height, .. } = config.depth_training;
-        for Drive { name, calibration, .. } in &dataset.drives {
-            let Pinhole { width: full_width, height: full_height, .. } = calibration.camera2;
+        for Recording { name, calibration, .. } in &dataset.drives {
+            let Pinhole { width: full_width, height: full_height, .. } = calibration.camera;
             require_aspect([full_width, full_height], [width, height])
                 .map_err(|error| Error::config("depth_training.width", format!("{name}: {error}")))?;
         }

@@ -6,10 +6,10 @@ use burn::tensor::module::{avg_pool2d, conv2d};
 use burn::tensor::ops::{AvgPoolOptions, ConvOptions, PadMode};
 
 use super::photometric::{Target, smoothness};
-use crate::data::ImageBatch;
 use crate::depth::DepthRange;
 use crate::depth::monodepth2::{Monodepth2, disparity_to_depth};
 use crate::kernels::double;
+use crate::pairs::ImageBatch;
 use crate::warp::{Warp, Warped};
 
 /// Frames that each target is explained by: the one before and the one after.

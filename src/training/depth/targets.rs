@@ -7,13 +7,14 @@ use std::sync::Arc;
 use burn::tensor::Device;
 
 use super::reprojection::NEIGHBOURS;
-use crate::config::{Config, ModelConfig};
-use crate::data::{
-    BatchLoader, Choice, Dataset, ImageBatch, Images, Pair, PairId, PairReader, PairScope, Request, Split, SplitName,
-};
+use crate::config::Config;
 use crate::error::{Error, Result};
 use crate::files::sha256_hex;
 use crate::geometry::Tangent;
+use crate::model::ModelConfig;
+use crate::pairs::{
+    BatchLoader, Choice, Dataset, ImageBatch, Images, Pair, PairId, PairReader, PairScope, Request, Split, SplitName,
+};
 use crate::systems::Mixer;
 
 /// The targets of one split.
@@ -41,7 +42,7 @@ impl Targets {
     /// # Errors
     /// As [`Dataset::load`].
     pub fn load(config: &Config) -> Result<Dataset> {
-        Dataset::load(&Self::config(config), PairScope::Images)
+        Dataset::load(&Self::config(config).pairs(), PairScope::Images)
     }
 
     /// The targets of a split of that data.
@@ -62,7 +63,7 @@ impl Targets {
             .map(|Pair { id, .. }| format!("{} {} {}\n", dataset.drives[id.drive].name, id.source, id.target));
         let fingerprint = sha256_hex(names.collect::<String>().as_bytes());
         let loader = Self::config(config);
-        let reader = Arc::new(PairReader::new(&loader, dataset, split));
+        let reader = Arc::new(PairReader::new(&loader.pairs(), dataset, split));
         Ok(Self { reader, fingerprint, pairs: Arc::new(pairs), loader })
     }
 
@@ -91,7 +92,8 @@ impl Targets {
     }
 
     fn spawn(&self, requests: impl Iterator<Item = Request> + Send + 'static) -> Result<TargetBatches> {
-        let loader = BatchLoader::spawn(self.reader.clone(), self.pairs.clone(), requests, &self.loader.training)?;
+        let loader =
+            BatchLoader::spawn(self.reader.clone(), self.pairs.clone(), requests, &self.loader.training.loading())?;
         Ok(TargetBatches { loader })
     }
 }

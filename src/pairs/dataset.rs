@@ -1,25 +1,21 @@
 //! The pairs of an experiment: measured pose, true pose and images joined, split by split.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
-use nalgebra::Vector6;
 use sha2::{Digest, Sha256};
 
-use super::coverage::Coverage;
-use super::drive::Drive;
+use super::coverage::{Absence, Coverage};
 use super::generated::generate;
+use super::pair::{Pair, PairId, PairScope};
 use super::pairing::Pairing;
-use crate::config::{
-    Config, DepthConfig, DriveConfig, RelativeConfig, SystemConfig, SystemSource, TruthConfig, WatchedSplit,
-};
-use crate::depth::DepthCache;
+use super::settings::{DriveConfig, PairSettings};
+use super::split::{Split, SplitName};
+use crate::depth::{DepthCache, DepthConfig};
 use crate::error::{Error, Result};
-use crate::geometry::{Covariance6, Pose, Tangent};
+use crate::recordings::Recording;
 use crate::synthetic::{SYSTEMS, is_synthetic};
-use crate::systems::Perturbation;
+use crate::systems::{RelativeConfig, SystemConfig, SystemSource, TruthConfig};
 
 /// What an experiment works with.
 #[derive(Clone, Debug)]
@@ -31,7 +27,7 @@ pub struct Dataset {
     /// What tells the depth maps of a network from those of another; none for other sources.
     pub depth: Option<String>,
     /// Every drive named by a split, once.
-    pub drives: Vec<Drive>,
+    pub drives: Vec<Recording>,
     /// Names of the systems.
     pub systems: Vec<String>,
     /// For each system: whether its measurements were rendered, so that the covariances they state are the
@@ -49,103 +45,6 @@ pub struct Dataset {
     pub coverage: Vec<Coverage>,
 }
 
-/// A role of pairs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum SplitName {
-    /// Learned from.
-    Train,
-    /// Watched during training.
-    Validation,
-    /// Evaluated at the end.
-    Test,
-}
-
-impl SplitName {
-    /// Name as in the configuration.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Train => "train",
-            Self::Validation => "validation",
-            Self::Test => "test",
-        }
-    }
-}
-
-/// The pairs of one role, system by system.
-#[derive(Clone, Debug)]
-pub struct Split {
-    /// Its role.
-    pub name: SplitName,
-    /// Its pairs, ordered by system, drive and frame.
-    pub pairs: Vec<Pair>,
-    /// Each system's range of `pairs`.
-    pub systems: Vec<Range<usize>>,
-}
-
-/// One measurement: two frames, the measured pose and its error.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Pair {
-    /// Which frames.
-    pub id: PairId,
-    /// Index of the system that measured it.
-    pub system: usize,
-    /// Measured `ⁱT̂ᵢ₊₁` in axes of camera 2, m: what the warp uses.
-    pub source_from_target: Pose,
-    /// `e = log(T̂ T⁻¹)` (paper Eq. 2) in the configured error frame, m and rad.
-    pub error: Tangent,
-    /// `log ⁱT̂ᵢ₊₁` in vehicle axes, m and rad: what baselines know of a measurement.
-    pub motion: Tangent,
-    /// Axes of the errors from those of camera 2, where and when the measurement was made.
-    pub errors_from_camera: Pose,
-    /// What generates the measurement, where it is no system's.
-    pub generated: Option<Arc<Perturbation>>,
-    /// Covariance of the error that the measurement states, in the error frame: the true one in simulated data.
-    pub stated_covariance: Option<Covariance6>,
-}
-
-impl Pair {
-    /// Measured `ⁱT̂ᵢ₊₁` (axes of camera 2, m) and its error; of a generated measurement those of a draw, where one is
-    /// asked for.
-    pub fn measured(&self, draw: Option<usize>) -> (Pose, Tangent) {
-        match (&self.generated, draw) {
-            (Some(perturbation), Some(draw)) => {
-                let error = perturbation.draw(self.id, draw);
-                (self.wrong_by(&error), error)
-            }
-            _ => (self.source_from_target, self.error),
-        }
-    }
-
-    /// The pose that a measurement with this error would have: `exp(e) exp(−e₀) T̂₀`.
-    pub(super) fn wrong_by(&self, error: &Tangent) -> Pose {
-        let change = Pose::exp(error) * Pose::exp(&-self.error);
-        change.conjugated_by(&self.errors_from_camera.inverse()) * self.source_from_target
-    }
-}
-
-/// Two frames of a drive.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct PairId {
-    /// Index into [`Dataset::drives`].
-    pub drive: usize,
-    /// Frame i.
-    pub source: usize,
-    /// Frame i + 1.
-    pub target: usize,
-}
-
-/// Which measured pairs a data set keeps.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PairScope {
-    /// Those with images and depth: what a network needs.
-    Images,
-    /// All with a measured and a true pose: what statistics of errors need.
-    Poses,
-    /// Those with images and depth, whether or not the truth is known: what a prediction needs. The error of a pair
-    /// whose truth is not known is zero and means nothing.
-    Measured,
-}
-
 impl Dataset {
     /// Finds everything a configuration asks for.
     ///
@@ -153,13 +52,12 @@ impl Dataset {
     /// A drive, calibration or measurement file is missing or malformed, or too many packets are
     /// unreadable; or the depth maps of a network are missing or stale. Splits may come out empty; see
     /// [`Dataset::require`].
-    pub fn load(config: &Config, scope: PairScope) -> Result<Self> {
-        let network = if let DepthConfig::Monodepth2(network) = &config.depth { Some(network) } else { None };
+    pub fn load(config: &PairSettings, scope: PairScope) -> Result<Self> {
+        let network = if let DepthConfig::Monodepth2(network) = config.depth { Some(network) } else { None };
         let network = network.filter(|_| scope != PairScope::Poses);
         // Before anything is read: the maps must be there, and be those of the configuration.
         network.map_or(Ok(String::new()), |network| DepthCache::of(network).require(network, &[]))?;
         let mut pairing = Pairing::new(config, scope)?;
-        let held_out = config.data.validation.is_empty() && config.training.watch == WatchedSplit::Validation;
         let mut coverage = Vec::new();
         let mut collect = |name, drives: &[DriveConfig]| -> Result<Vec<Pair>> {
             let mut pairs = Vec::new();
@@ -174,7 +72,7 @@ impl Dataset {
         let validation = collect(SplitName::Validation, &config.data.validation)?;
         let test = collect(SplitName::Test, &config.data.test)?;
         let (train, validation) =
-            if held_out { hold_out(train, config.data.validation_fraction) } else { (train, validation) };
+            if config.held_out { hold_out(train, config.data.validation_fraction) } else { (train, validation) };
         let systems = config.systems.len();
         let drives = pairing.into_drives();
         let mut splits = [train, validation, test];
@@ -230,7 +128,8 @@ impl Dataset {
         let split = self.split(name);
         for (system, range) in split.systems.iter().enumerate() {
             if range.is_empty() {
-                return Err(self.explain_empty(name, system));
+                let absence = Absence { coverage: &self.coverage, recordings: &self.drives, scope: self.scope };
+                return Err(absence.explain(name, system, &self.systems[system]));
             }
         }
         Ok(split)
@@ -240,7 +139,7 @@ impl Dataset {
     ///
     /// # Errors
     /// More lack it; the message says how many.
-    fn require_depth(&self, config: &Config) -> Result<()> {
+    fn require_depth(&self, config: &PairSettings) -> Result<()> {
         let count = |of: fn(&Coverage) -> usize| self.coverage.iter().map(of).sum::<usize>();
         let (pairs, with_depth) = (count(|coverage| coverage.image_pairs), count(|coverage| coverage.depth_pairs));
         if (pairs - with_depth) as f64 > config.data.max_bad_fraction * pairs as f64 {
@@ -274,40 +173,11 @@ impl Dataset {
     }
 }
 
-impl Split {
-    /// Sorts pairs by system; `systems` is how many there are.
-    fn new(name: SplitName, mut pairs: Vec<Pair>, systems: usize) -> Self {
-        pairs.sort_by_key(|pair| (pair.system, pair.id));
-        pairs.dedup_by_key(|pair| (pair.system, pair.id));
-        let start = |system| pairs.partition_point(|pair: &Pair| pair.system < system);
-        let ranges = (0..systems).map(|system| start(system)..start(system + 1)).collect();
-        Self { name, systems: ranges, pairs }
-    }
-
-    /// The pairs of some systems alone; others are there and have none.
-    pub fn of_systems(&self, wanted: impl Fn(usize) -> bool) -> Self {
-        let pairs = self.pairs.iter().filter(|pair| wanted(pair.system)).cloned().collect();
-        Self::new(self.name, pairs, self.systems.len())
-    }
-
-    /// The pairs of one system.
-    pub fn pairs_of(&self, system: usize) -> &[Pair] {
-        &self.pairs[self.systems[system].clone()]
-    }
-
-    /// Mean of e² over one system's pairs, m² and rad².
-    pub fn mean_squared_error(&self, system: usize) -> Vector6<f64> {
-        let pairs = self.pairs_of(system);
-        let sum: Vector6<f64> = pairs.iter().map(|pair| pair.error.component_mul(&pair.error)).sum();
-        sum / pairs.len().max(1) as f64
-    }
-}
-
 /// Whether a system is one that was rendered together with the data, judged by the truth it was drawn around.
-fn is_simulated(config: &Config, system: &SystemConfig) -> bool {
+fn is_simulated(config: &PairSettings, system: &SystemConfig) -> bool {
     let SystemSource::Relative(RelativeConfig { path, .. }) = &system.source else { return false };
     let rendered = SYSTEMS.iter().any(|name| *path == Path::new(&format!("measurements/{name}/{{drive}}.csv")));
-    rendered && config.truth == TruthConfig::Oxts {} && is_synthetic(&config.data.root)
+    rendered && *config.truth == TruthConfig::Oxts {} && is_synthetic(&config.data.root)
 }
 
 /// Gives the last part of each drive to the second set; the pair before it, which shares an image with

@@ -3,15 +3,17 @@
 use std::fmt;
 use std::path::PathBuf;
 
-use super::dataset::{Dataset, PairScope, SplitName};
+use super::pair::PairScope;
+use super::split::SplitName;
 use crate::error::Error;
+use crate::recordings::Recording;
 
 /// What one drive gives to one split.
 #[derive(Clone, Debug)]
 pub struct Coverage {
     /// The split.
     pub split: SplitName,
-    /// Index into [`Dataset::drives`].
+    /// Index into [`Dataset::drives`](super::Dataset::drives).
     pub drive: usize,
     /// First and one past the last source frame, where the configuration cuts.
     pub frames: Option<[usize; 2]>,
@@ -45,9 +47,16 @@ pub struct Coverage {
     pub missing_files: Vec<Option<PathBuf>>,
 }
 
-impl Dataset {
-    /// Why no pair of a system is in a split: what each side has.
-    pub(super) fn explain_empty(&self, name: SplitName, system: usize) -> Error {
+/// What drives have, where a system has no pairs.
+pub(super) struct Absence<'a> {
+    pub coverage: &'a [Coverage],
+    pub recordings: &'a [Recording],
+    pub scope: PairScope,
+}
+
+impl Absence<'_> {
+    /// Why no pair of a system, called `label`, is in a split: what each side has.
+    pub fn explain(&self, name: SplitName, system: usize, label: &str) -> Error {
         let coverage: Vec<_> = self.coverage.iter().filter(|coverage| coverage.split == name).collect();
         if name == SplitName::Validation && coverage.is_empty() {
             return Error::config(
@@ -61,7 +70,7 @@ impl Dataset {
         let lacks_depth = |coverage: &&&Coverage| coverage.measured_with_images[system] > 0;
         let without_depth = coverage.iter().find(lacks_depth).filter(|_| self.scope != PairScope::Poses);
         let shown = without_depth.unwrap_or(first);
-        let (drive, label) = (&self.drives[shown.drive].name, &self.systems[system]);
+        let drive = &self.recordings[shown.drive].name;
         let elsewhere = match coverage.len() {
             1 => String::new(),
             drives => format!(" (one of {drives} drives)"),

@@ -1,6 +1,6 @@
 //! How the learning rate changes over a training.
 
-use crate::config::Schedule;
+use super::settings::Schedule;
 
 /// Share of a training in which the rate of [`Schedule::Cosine`] rises.
 const RISE: f64 = 0.05;
@@ -8,7 +8,7 @@ const RISE: f64 = 0.05;
 const FIRST: f64 = 0.01;
 
 /// Factor of the learning rate when a share (0 to 1) of the training is done.
-pub(super) fn rate_factor(schedule: Schedule, share: f64) -> f64 {
+pub(crate) fn rate_factor(schedule: Schedule, share: f64) -> f64 {
     match schedule {
         Schedule::Constant => 1.0,
         Schedule::Cosine if share < RISE => (share / RISE).max(FIRST),

@@ -12,38 +12,25 @@
 //! | `depth` | depth of the target image, 16-bit PNG, metres x 256; optional |
 //! | `source_time`, `target_time` | s; optional |
 //!
-//! A manifest is read as drives are: each sequence becomes a [`Drive`].
+//! A manifest is read as drives are: each sequence becomes a [`Recording`].
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use nalgebra::{Matrix3, Rotation3, Vector3};
+use nalgebra::Vector3;
 
 use super::calibration::Calibration;
-use super::drive::{Drive, FrameFiles};
 use super::image::image_size;
+use super::layout::Layout;
+use super::recording::{FrameFiles, Listed, Recording};
+use super::trajectory::{LARGEST_MOTION_M, pose_from_quaternion};
 use crate::error::{Error, Place, Result, excerpt};
 use crate::files::{Form, Header, Row, Table, is_plain, read_text};
 use crate::geometry::{OWN_INTRINSICS, Pinhole, Pose};
-use crate::systems::{LARGEST_MOTION_M, pose_from_quaternion};
 use crate::time::{EXPECTED_SECONDS, Time};
 
 /// Largest difference of two statements of one true pose, m and rad.
 const SAME_TRUTH: f64 = 1e-6;
-
-/// Motions of a drive by source and target frame, `source_from_target`.
-pub type Motions = BTreeMap<(usize, usize), Pose>;
-
-/// What a manifest says of a drive beside its images.
-#[derive(Clone, Debug, Default)]
-pub struct Listed {
-    /// Depth maps by target frame.
-    pub depth: FrameFiles,
-    /// Measured motions by system.
-    pub measurements: BTreeMap<String, Motions>,
-    /// True motions.
-    pub true_motions: Motions,
-}
 
 /// A manifest that was read.
 #[derive(Clone, Debug)]
@@ -56,6 +43,7 @@ pub struct Manifest {
 struct Sequence {
     intrinsics: [f64; 4],
     images: FrameFiles,
+    depth: FrameFiles,
     times: BTreeMap<usize, Time>,
     listed: Listed,
 }
@@ -97,13 +85,13 @@ struct Measured<'a> {
 }
 
 /// Where its columns are.
-struct Layout {
+struct Columns {
     required: Vec<usize>,
     true_pose: Option<Vec<usize>>,
     optional: [Option<usize>; 4],
 }
 
-impl Layout {
+impl Columns {
     fn find(header: &Header) -> Result<Self> {
         let optional = OPTIONAL.map(|name| header.position(name));
         Ok(Self { required: header.require(&REQUIRED)?, true_pose: header.group(&TRUE_POSE)?, optional })
@@ -146,12 +134,6 @@ fn pose_of(row: &Row, [x, y, z, quaternion @ ..]: [f64; 7]) -> Result<Pose> {
     }
 }
 
-/// Axes of a vehicle (x forward, y left, z up) at the camera's own place into those of the camera.
-pub fn camera_axes_from_vehicle() -> Pose {
-    let rotation = Matrix3::new(0.0, -1.0, 0.0, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0);
-    Pose::new(Rotation3::from_matrix_unchecked(rotation), Vector3::zeros())
-}
-
 impl Manifest {
     /// Reads a manifest; no image is opened.
     ///
@@ -163,7 +145,7 @@ impl Manifest {
         let columns = [REQUIRED.as_slice(), &TRUE_POSE, &OPTIONAL].concat();
         let form = Form { columns: &columns, widths: &[], described: "the columns of docs/own_data.md" };
         let mut table = Table::open(&text, path, &form)?;
-        let layout = Layout::find(&table.header)?;
+        let layout = Columns::find(&table.header)?;
         let mut manifest = Self { path: path.to_owned(), sequences: BTreeMap::new() };
         let folder = path.parent().unwrap_or(Path::new(""));
         while let Some(row) = table.next()? {
@@ -191,22 +173,22 @@ impl Manifest {
 
     /// Whether every row has a depth map.
     pub fn has_depth(&self) -> bool {
-        self.sequences.values().all(|Sequence { listed, .. }| {
+        self.sequences.values().all(|Sequence { listed, depth, .. }| {
             let pairs = listed.measurements.values().flat_map(BTreeMap::keys);
-            pairs.into_iter().all(|(_, target)| listed.depth.contains_key(target))
+            pairs.into_iter().all(|(_, target)| depth.contains_key(target))
         })
     }
 
     /// Whether a row has a depth map.
     pub fn has_some_depth(&self) -> bool {
-        self.sequences.values().any(|sequence| !sequence.listed.depth.is_empty())
+        self.sequences.values().any(|sequence| !sequence.depth.is_empty())
     }
 
-    /// A sequence as a drive; the size of its images is that of the first that can be read.
+    /// A sequence as a recording; the size of its images is that of the first that can be read.
     ///
     /// # Errors
     /// There is no such sequence, or none of its images can be read.
-    pub fn drive(&self, name: &str, camera_from_vehicle: &Pose) -> Result<Drive> {
+    pub fn recording(&self, name: &str, camera_from_vehicle: &Pose) -> Result<Recording> {
         let sequence = self.sequences.get(name).ok_or_else(|| {
             let known: Vec<&str> = self.sequences().take(8).collect();
             Error::config(
@@ -219,28 +201,31 @@ impl Manifest {
         let first = image_size(images.next().expect("a row names two images"));
         let (width, height) = first.or_else(|error| images.find_map(|image| image_size(image).ok()).ok_or(error))?;
         let [fx, fy, cx, cy] = sequence.intrinsics;
-        let camera2 = Pinhole { fx, fy, cx, cy, width, height };
-        camera2
+        let camera = Pinhole { fx, fy, cx, cy, width, height };
+        camera
             .require_centre()
             .map_err(|found| Error::malformed(&self.path, Place::Field(name.to_owned()), found, OWN_INTRINSICS))?;
         let calibration = Calibration {
-            camera2,
-            camera2_from_camera0: Pose::identity(),
-            camera2_from_velodyne: *camera_from_vehicle,
-            camera2_from_vehicle: *camera_from_vehicle,
-            camera3_from_camera2: None,
+            camera,
+            camera_from_camera0: Pose::identity(),
+            camera_from_velodyne: *camera_from_vehicle,
+            camera_from_vehicle: *camera_from_vehicle,
+            right_from_left: None,
         };
-        Ok(Drive {
+        Ok(Recording {
             name: name.to_owned(),
+            layout: Layout::Manifest,
             calibration,
             images: sequence.images.clone(),
             right_images: FrameFiles::new(),
             scans: FrameFiles::new(),
-            oxts_poses: BTreeMap::new(),
+            depth: sequence.depth.clone(),
+            poses: BTreeMap::new(),
             times: sequence.times.clone(),
             problems: Vec::new(),
             time_problems: Vec::new(),
             listed: Some(sequence.listed.clone()),
+            sources: vec![self.path.clone()],
         })
     }
 
@@ -263,6 +248,7 @@ impl Manifest {
             intrinsics,
             images: FrameFiles::new(),
             times: BTreeMap::new(),
+            depth: FrameFiles::new(),
             listed: Listed::default(),
         });
         if sequence.intrinsics != intrinsics {
@@ -280,15 +266,15 @@ impl Manifest {
                 return Err(row.broken(format!("time {time} of frame {frame}"), &format!("{known} as in a row before")));
             }
         }
-        let listed = &mut sequence.listed;
         if let Some(depth) = measured.depth {
-            same_file(&mut listed.depth, target, folder, depth).map_err(|known| {
+            same_file(&mut sequence.depth, target, folder, depth).map_err(|known| {
                 row.broken(
                     format!("depth {} of frame {target}", excerpt(depth)),
                     &format!("{known} as in a row before"),
                 )
             })?;
         }
+        let listed = &mut sequence.listed;
         if let Some(truth) = measured.true_source_from_target {
             let known = listed.true_motions.entry((source, target)).or_insert(truth);
             if Pose::error(known, &truth).abs().max() > SAME_TRUTH {

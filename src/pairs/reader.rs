@@ -11,15 +11,15 @@ use nalgebra::Vector2;
 use quick_cache::Weighter;
 use quick_cache::sync::Cache;
 
-use super::dataset::{Dataset, Pair, PairId, SplitName};
-use super::drive::Drive;
-use super::image::RgbImage;
-use crate::alignment::{AlignmentInput, Evidence, GreyImage, align};
-use crate::config::{Config, DepthConfig};
-use crate::depth::{DepthMap, load_depth};
+use super::dataset::Dataset;
+use super::pair::{Pair, PairId};
+use super::settings::{PairInput, PairSettings};
+use super::split::SplitName;
+use crate::alignment::{AlignmentInput, Evidence, EvidenceInput, GreyImage, align};
+use crate::depth::{DepthConfig, DepthMap, load_depth};
 use crate::error::{Error, Result};
 use crate::geometry::{Pinhole, Pose, Tangent};
-use crate::model::EvidenceInput;
+use crate::recordings::{Recording, RgbImage};
 
 /// A pair ready for the network.
 #[derive(Clone, Debug)]
@@ -86,7 +86,7 @@ pub(crate) const SHOWS_NOTHING: &str =
 /// A frame that could not be read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BadFrame {
-    /// Drive name.
+    /// Name of the drive.
     pub drive: String,
     /// Frame index.
     pub frame: usize,
@@ -97,7 +97,7 @@ pub struct BadFrame {
 /// Reads pairs; shared by loader threads.
 pub struct PairReader {
     root: PathBuf,
-    drives: Vec<Drive>,
+    drives: Vec<Recording>,
     cameras: Vec<Pinhole>,
     depth: DepthConfig,
     stereo: bool,
@@ -140,8 +140,8 @@ impl Weighter<FrameKey, Frame> for FrameWeighter {
 
 impl PairReader {
     /// A reader for the pairs of one split at the configured network size.
-    pub fn new(config: &Config, dataset: &Dataset, split: SplitName) -> Self {
-        let (width, height) = (config.model.width, config.model.height);
+    pub fn new(config: &PairSettings, dataset: &Dataset, split: SplitName) -> Self {
+        let PairInput { width, height, stereo, evidence, needs_overlap } = config.input;
         let cache_bytes = config.data.cache_mb as u64 * 1_000_000;
         let typical_frame = (3 * width * height) as u64;
         let pairs = &dataset.split(split).pairs;
@@ -150,14 +150,14 @@ impl PairReader {
         let max_bad_fraction = config.data.max_bad_fraction;
         Self {
             root: dataset.root.clone(),
-            cameras: dataset.drives.iter().map(|drive| drive.calibration.camera2.resized(width, height)).collect(),
+            cameras: dataset.drives.iter().map(|drive| drive.calibration.camera.resized(width, height)).collect(),
             drives: dataset.drives.clone(),
             depth: config.depth.clone(),
-            stereo: config.model.stereo,
-            evidence: config.model.evidence,
+            stereo,
+            evidence,
             frames: Cache::with_weighter((cache_bytes / typical_frame) as usize + 1, cache_bytes, FrameWeighter),
             bad_frames: Mutex::default(),
-            needs_overlap: config.model.pair.needs_overlap(config.model.evidence),
+            needs_overlap,
             blind_pairs: Mutex::default(),
             systems: dataset.systems.clone(),
             max_bad_frames: max_bad_fraction * frames.len() as f64,
@@ -202,7 +202,7 @@ impl PairReader {
         if self.stereo {
             let [source_image, target_image] = right_keys.map(|key| self.unless_bad(key, self.image(key)));
             let (Some(source_image), Some(target_image)) = (source_image?, target_image?) else { return Ok(None) };
-            let right_from_left = self.drives[drive].calibration.camera3_from_camera2.expect("checked with the pairs");
+            let right_from_left = self.drives[drive].calibration.right_from_left.expect("checked with the pairs");
             right = Some(RightImages { source_image, target_image, right_from_left });
         }
         let (source_from_target, error) = pair.measured(draw);

@@ -4,11 +4,11 @@ use std::sync::Arc;
 
 use nalgebra::Vector6;
 
-use super::dataset::Pair;
-use super::drive::Drive;
-use crate::config::{Config, PerturbationConfig, SystemConfig, SystemSource};
+use super::pair::Pair;
+use super::settings::PairSettings;
 use crate::error::{Error, Result};
-use crate::systems::Perturbation;
+use crate::recordings::Recording;
+use crate::systems::{Perturbation, PerturbationConfig, SystemConfig, SystemSource};
 
 /// Gives the pairs of generated systems, true so far, the errors of their first draw; the size of their errors, for each
 /// system that is generated and has pairs. `splits` are train, validation and test.
@@ -16,8 +16,8 @@ use crate::systems::Perturbation;
 /// # Errors
 /// Nothing tells how large the errors shall be.
 pub(super) fn generate(
-    config: &Config,
-    drives: &[Drive],
+    config: &PairSettings,
+    drives: &[Recording],
     splits: &mut [Vec<Pair>; 3],
 ) -> Result<Vec<Option<[f64; 6]>>> {
     let mut sizes = vec![None; config.systems.len()];
@@ -35,9 +35,9 @@ pub(super) fn generate(
         let drive_names = drives.iter().map(|drive| drive.name.as_str());
         let perturbation = Arc::new(Perturbation::new(config.seed, name, base, drive_names));
         for pair in splits.iter_mut().flatten().filter(|pair| pair.system == system) {
-            let error = perturbation.draw(pair.id, 0);
+            let error = perturbation.draw(pair.id.drive, [pair.id.source, pair.id.target], 0);
             pair.source_from_target = pair.wrong_by(&error);
-            let vehicle_from_camera = drives[pair.id.drive].calibration.camera2_from_vehicle.inverse();
+            let vehicle_from_camera = drives[pair.id.drive].calibration.camera_from_vehicle.inverse();
             pair.motion = pair.source_from_target.conjugated_by(&vehicle_from_camera).log();
             pair.error = error;
             pair.generated = Some(perturbation.clone());
@@ -47,7 +47,7 @@ pub(super) fn generate(
 }
 
 /// Root mean square of the errors of all measuring systems that are learned from; `None` where a component has none.
-fn typical_error(config: &Config, train: &[Pair]) -> Option<[f64; 6]> {
+fn typical_error(config: &PairSettings, train: &[Pair]) -> Option<[f64; 6]> {
     let measures = |pair: &&Pair| {
         let system = &config.systems[pair.system];
         system.share > 0.0 && !matches!(system.source, SystemSource::Truth {} | SystemSource::Perturbation(_))

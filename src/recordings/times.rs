@@ -3,19 +3,19 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::drive::FrameFiles;
+use super::recording::FrameFiles;
 use crate::error::{Error, Place, excerpt};
 use crate::files::read_text;
 use crate::time::Time;
 
-/// Frame times of the camera, else of the packets; each file beside the frames it was written for.
-pub(super) fn load_times(folder: &Path, frames: [&FrameFiles; 2], problems: &mut Vec<String>) -> BTreeMap<usize, Time> {
-    let files = ["image_02/timestamps.txt", "oxts/timestamps.txt"].map(|name| folder.join(name));
-    let Some((path, frames)) = files.into_iter().zip(frames).find(|(path, _)| path.is_file()) else {
-        return BTreeMap::new();
-    };
-    match read_text(&path) {
-        Ok(text) => parse_times(&text, &path, frames, problems),
+/// Frame times of the first file that is there, each beside the frames it was written for.
+pub(super) fn load_times<'a>(
+    files: impl IntoIterator<Item = (&'a Path, &'a FrameFiles)>,
+    problems: &mut Vec<String>,
+) -> BTreeMap<usize, Time> {
+    let Some((path, frames)) = files.into_iter().find(|(path, _)| path.is_file()) else { return BTreeMap::new() };
+    match read_text(path) {
+        Ok(text) => parse_times(&text, path, frames, problems),
         Err(error) => {
             problems.push(error.to_string());
             BTreeMap::new()

@@ -1,12 +1,12 @@
 //! The stages of a training: evidence alone, then images too, or one of them all along.
 
-use super::schedule::rate_factor;
-use crate::config::TrainingConfig;
-use crate::data::Images;
+use super::rate::rate_factor;
+use super::settings::TrainingConfig;
+use crate::pairs::Images;
 
 /// What is shown in which mini-batch, and how fast it is learned.
 #[derive(Clone, Debug)]
-pub(super) struct Stages {
+pub(crate) struct Stages {
     training: TrainingConfig,
     /// Mini-batches at the start that show evidence alone.
     alone: usize,
@@ -57,7 +57,7 @@ impl Stages {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Schedule;
+    use crate::schedule::Schedule;
 
     #[test]
     fn images_join_after_the_epochs_of_evidence_with_a_rate_and_a_schedule_of_their_own() {

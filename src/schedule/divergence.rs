@@ -1,6 +1,6 @@
 //! When to stop: "once we observed diverging train and evaluation losses" (paper Section V-A).
 
-use crate::config::StopConfig;
+use super::settings::StopConfig;
 
 /// Decides from the two loss curves whether they diverge.
 ///

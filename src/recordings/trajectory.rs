@@ -15,6 +15,9 @@ const ROTATION_TOLERANCE: f64 = 1e-3;
 /// Largest deviation of a quaternion's norm from 1.
 const QUATERNION_TOLERANCE: f64 = 1e-2;
 
+/// Longer motions between two frames are mistakes, m.
+pub(crate) const LARGEST_MOTION_M: f64 = 1e4;
+
 /// Absolute poses `world_from_body` by frame index.
 pub type Trajectory = BTreeMap<usize, Pose>;
 
@@ -22,7 +25,7 @@ pub type Trajectory = BTreeMap<usize, Pose>;
 pub(crate) enum KittiPoses {
     /// Rows of 13: each says its frame.
     Framed(Trajectory),
-    /// Rows of 12: which frames they are must be known otherwise ([`frames_of_rows`](super::frames_of_rows)).
+    /// Rows of 12: which frames they are must be known otherwise (`frames_of_rows`).
     Rows(Vec<Pose>),
 }
 

@@ -6,20 +6,20 @@ use std::path::PathBuf;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use super::coverage::{Coverage, FrameSpan};
-use super::dataset::{Pair, PairId, PairScope, SplitName};
-use super::drive::Drive;
-use super::manifest::{Manifest, camera_axes_from_vehicle};
-use crate::config::{Config, DriveConfig, MeasurementFrame};
+use super::pair::{Pair, PairId, PairScope};
+use super::settings::{DriveConfig, PairSettings};
+use super::split::SplitName;
 use crate::depth::{depth_file, has_depth};
 use crate::error::{Error, Result};
 use crate::geometry::{Pose, Tangent};
+use crate::recordings::{Manifest, MeasurementFrame, Recording, camera_axes_from_vehicle, load_kitti_raw};
 use crate::systems::{Measurements, Truth, load_measurements};
 
 /// Joins drive after drive; each is read once, however many splits name it.
 pub(super) struct Pairing<'a> {
-    config: &'a Config,
+    config: &'a PairSettings<'a>,
     scope: PairScope,
-    drives: Vec<Drive>,
+    drives: Vec<Recording>,
     /// For each drive: the truth and each system's measurements.
     sources: Vec<(Truth, Vec<Measurements>)>,
     /// The manifest and its camera, where the data are listed in one.
@@ -31,7 +31,7 @@ impl<'a> Pairing<'a> {
     ///
     /// # Errors
     /// The manifest is missing or malformed.
-    pub(super) fn new(config: &'a Config, scope: PairScope) -> Result<Self> {
+    pub(super) fn new(config: &'a PairSettings<'a>, scope: PairScope) -> Result<Self> {
         let manifest = match &config.data.manifest {
             None => None,
             Some(path) => {
@@ -43,7 +43,7 @@ impl<'a> Pairing<'a> {
     }
 
     /// The drives seen so far.
-    pub(super) fn into_drives(self) -> Vec<Drive> {
+    pub(super) fn into_drives(self) -> Vec<Recording> {
         self.drives
     }
 
@@ -59,11 +59,11 @@ impl<'a> Pairing<'a> {
         let root = &self.config.data.root;
         let wanted_frame = |frame: usize| wanted.frames.is_none_or(|[first, end]| (first..end).contains(&frame));
         let cameras =
-            if self.config.model.stereo { vec![&drive.images, &drive.right_images] } else { vec![&drive.images] };
+            if self.config.input.stereo { vec![&drive.images, &drive.right_images] } else { vec![&drive.images] };
         let has_images = |&(source, target): &(usize, usize)| {
             cameras.iter().all(|images| images.contains_key(&source) && images.contains_key(&target))
         };
-        let has_depth = |&(_, target): &(usize, usize)| has_depth(&self.config.depth, drive, target, root);
+        let has_depth = |&(_, target): &(usize, usize)| has_depth(self.config.depth, drive, target, root);
 
         let pose_pairs: Vec<(usize, usize)> =
             truth.motions().into_keys().filter(|&(source, _)| wanted_frame(source)).collect();
@@ -88,14 +88,14 @@ impl<'a> Pairing<'a> {
                 with_images += usize::from(has_images(&pair));
                 if self.scope != PairScope::Poses && !(has_images(&pair) && has_depth(&pair)) {
                     if has_images(&pair) && missing_depth.is_none() {
-                        missing_depth = depth_file(&self.config.depth, drive, target, root);
+                        missing_depth = depth_file(self.config.depth, drive, target, root);
                     }
                     continue;
                 }
-                let vehicle_from_camera2 = drive.calibration.camera2_from_vehicle.inverse();
-                let camera2_from_body = drive.calibration.camera2_from(measurements.frame);
-                let source_from_target = measured_pose.conjugated_by(&camera2_from_body);
-                let measured_motion = measured_pose.conjugated_by(&(vehicle_from_camera2 * camera2_from_body));
+                let vehicle_from_camera = drive.calibration.camera_from_vehicle.inverse();
+                let camera_from_body = drive.calibration.camera_from(measurements.frame);
+                let source_from_target = measured_pose.conjugated_by(&camera_from_body);
+                let measured_motion = measured_pose.conjugated_by(&(vehicle_from_camera * camera_from_body));
                 let world_from_vehicle = truth.world_from_vehicle(source);
                 let Some(frame_from_vehicle) =
                     drive.calibration.axes_from_vehicle(self.config.data.error_frame, world_from_vehicle)
@@ -113,7 +113,7 @@ impl<'a> Pairing<'a> {
                         &true_motion.conjugated_by(&frame_from_vehicle),
                     ),
                 };
-                let frame_from_body = frame_from_vehicle * vehicle_from_camera2 * camera2_from_body;
+                let frame_from_body = frame_from_vehicle * vehicle_from_camera * camera_from_body;
                 let stated_covariance = measurements.covariances.get(&pair);
                 pairs.push(Pair {
                     id: PairId { drive: index, source, target },
@@ -121,7 +121,7 @@ impl<'a> Pairing<'a> {
                     source_from_target,
                     error,
                     motion: measured_motion.log(),
-                    errors_from_camera: frame_from_vehicle * vehicle_from_camera2,
+                    errors_from_camera: frame_from_vehicle * vehicle_from_camera,
                     generated: None,
                     stated_covariance: stated_covariance.map(|covariance| covariance.transported(&frame_from_body)),
                 });
@@ -157,10 +157,10 @@ impl<'a> Pairing<'a> {
         }
         let root = &self.config.data.root;
         let drive = match &self.manifest {
-            None => Drive::load(root, name)?,
-            Some((manifest, camera_from_vehicle)) => manifest.drive(name, camera_from_vehicle)?,
+            None => load_kitti_raw(root, name)?,
+            Some((manifest, camera_from_vehicle)) => manifest.recording(name, camera_from_vehicle)?,
         };
-        let packets = drive.oxts_poses.len() + drive.problems.len();
+        let packets = drive.poses.len() + drive.problems.len();
         let limit = self.config.data.max_bad_fraction;
         if drive.problems.len() as f64 > limit * packets as f64 {
             return Err(Error::Data(format!(
@@ -174,10 +174,7 @@ impl<'a> Pairing<'a> {
                 tracing::warn!("{name}: {} problems with its {what}; the first: {first}", problems.len());
             }
         }
-        if self.config.model.stereo
-            && self.scope != PairScope::Poses
-            && drive.calibration.camera3_from_camera2.is_none()
-        {
+        if self.config.input.stereo && self.scope != PairScope::Poses && drive.calibration.right_from_left.is_none() {
             return Err(Error::config(
                 "model.stereo",
                 format!(
@@ -185,14 +182,14 @@ impl<'a> Pairing<'a> {
                 ),
             ));
         }
-        let truth = Truth::load(&self.config.truth, &drive, root)?;
+        let truth = Truth::load(self.config.truth, &drive, root)?;
         let systems = self
             .config
             .systems
             .iter()
             .map(|system| load_measurements(system, &drive, root, &truth))
             .collect::<Result<_>>()?;
-        tracing::debug!("{name}: {} packets, {} images", drive.oxts_poses.len(), drive.images.len());
+        tracing::debug!("{name}: {} packets, {} images", drive.poses.len(), drive.images.len());
         self.drives.push(drive);
         self.sources.push((truth, systems));
         Ok(self.drives.len() - 1)

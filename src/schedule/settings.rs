@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::pairs::Loading;
+
 /// How the network is trained.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -67,6 +69,18 @@ impl Default for TrainingConfig {
     }
 }
 
+impl TrainingConfig {
+    /// How its micro-batches are read ahead.
+    pub fn loading(&self) -> Loading {
+        Loading {
+            batch: self.micro_batch,
+            threads: self.loader_threads,
+            prefetch: self.prefetch,
+            prefetch_mb: self.prefetch_mb,
+        }
+    }
+}
+
 /// The learning rate over a training.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -92,7 +106,7 @@ pub enum WatchedSplit {
     Test,
 }
 
-/// When training and evaluation loss count as diverging; see [`crate::training::DivergenceRule`].
+/// When training and evaluation loss count as diverging; see [`crate::schedule::DivergenceRule`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct StopConfig {

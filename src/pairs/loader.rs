@@ -10,11 +10,23 @@ use rayon::ThreadPoolBuilder;
 use rayon::prelude::*;
 
 use super::batch::{Images, PairNumbers};
-use super::dataset::Pair;
+use super::pair::Pair;
 use super::reader::{PairReader, PairSample};
 use crate::alignment::Evidence;
-use crate::config::TrainingConfig;
 use crate::error::{Error, Result};
+
+/// How batches are read ahead.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Loading {
+    /// Pairs in a batch.
+    pub batch: usize,
+    /// Threads that read.
+    pub threads: usize,
+    /// Most batches that wait to be taken.
+    pub prefetch: usize,
+    /// Most memory that waiting batches may take, MB; one waits in any case.
+    pub prefetch_mb: usize,
+}
 
 /// A batch to read.
 #[derive(Clone, Debug)]
@@ -56,8 +68,7 @@ pub struct BatchLoader {
 }
 
 impl BatchLoader {
-    /// Starts reading. At most `training.prefetch` batches and `training.prefetch_mb` of memory wait to
-    /// be taken, but one batch in any case.
+    /// Starts reading.
     ///
     /// # Errors
     /// Threads cannot be started.
@@ -65,18 +76,18 @@ impl BatchLoader {
         reader: Arc<PairReader>,
         pairs: Arc<Vec<Pair>>,
         requests: impl Iterator<Item = Request> + Send + 'static,
-        training: &TrainingConfig,
+        loading: &Loading,
     ) -> Result<Self> {
         let failed = |error: &dyn std::fmt::Display| Error::Training(format!("cannot start loader threads: {error}"));
         let pool = ThreadPoolBuilder::new()
-            .num_threads(training.loader_threads)
+            .num_threads(loading.threads)
             .thread_name(|index| format!("loader-{index}"))
             .build()
             .map_err(|error| failed(&error))?;
-        let batch_bytes = training.micro_batch * reader.pair_bytes();
-        let fitting = training.prefetch_mb.saturating_mul(1_000_000) / batch_bytes.max(1);
+        let batch_bytes = loading.batch * reader.pair_bytes();
+        let fitting = loading.prefetch_mb.saturating_mul(1_000_000) / batch_bytes.max(1);
         // One more waits in the producer's hands.
-        let (sender, batches) = sync_channel(fitting.min(training.prefetch).saturating_sub(1));
+        let (sender, batches) = sync_channel(fitting.min(loading.prefetch).saturating_sub(1));
         let thread = std::thread::Builder::new()
             .name("loader".to_owned())
             .spawn(move || {

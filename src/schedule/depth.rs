@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::Schedule;
+use super::settings::Schedule;
 use crate::depth::DepthRange;
 
 /// Self-supervised training of the depth network (`relcov train-depth`).
@@ -48,7 +48,7 @@ impl Default for DepthTrainingConfig {
 }
 
 impl DepthTrainingConfig {
-    pub(super) fn is_default(&self) -> bool {
+    pub(crate) fn is_default(&self) -> bool {
         *self == Self::default()
     }
 }

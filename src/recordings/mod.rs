@@ -1,0 +1,31 @@
+//! What lies on disk: one file a layout, all giving one [`Recording`]: frames with their times, images, camera and right
+//! camera, scans and depth maps, the poses that a recording brings with it, and where its sensors are to each other.
+//!
+//! Leaves to others: who measured (`systems`), depth that is made (`depth`), which frames make pairs (`pairs`).
+
+mod calibration;
+mod frames;
+mod image;
+mod keyed_lines;
+mod kitti_raw;
+mod layout;
+mod manifest;
+mod oxts;
+mod recording;
+mod times;
+mod trajectory;
+
+pub(crate) use self::image::decode;
+pub use self::image::{RgbImage, decode_image, read_image};
+pub use calibration::{Calibration, MeasurementFrame, camera_axes_from_vehicle};
+pub use kitti_raw::{load_kitti_calibration, load_kitti_raw};
+pub use layout::Layout;
+pub use manifest::Manifest;
+pub(crate) use oxts::EARTH_RADIUS_M;
+pub use oxts::{OxtsPacket, world_from_vehicle};
+pub use recording::{FrameFiles, Listed, Motions, Recording};
+pub(crate) use trajectory::{KittiPoses, LARGEST_MOTION_M, parse_kitti_poses, pose_from_quaternion};
+pub use trajectory::{Trajectory, parse_kitti_trajectory, parse_tum_trajectory};
+
+/// Environment variable that overrides `data.root`.
+pub const DATA_ROOT_VARIABLE: &str = "RELCOV_DATA_ROOT";
