@@ -8,8 +8,10 @@ use clap::Args;
 use comfy_table::{CellAlignment, Table, presets};
 
 use super::output::require_png;
+use super::overrides::Overrides;
 use super::progress::{Progress, note};
-use super::{Overrides, Terminal, print_result, synth};
+use super::synth;
+use super::terminal::{Terminal, print_result};
 use crate::config::Config;
 use crate::depth::{
     DepthCache, DepthConfig, DepthEstimator, DepthJudge, DepthScores, FrameId, Present, ScaleRule, precompute,

@@ -1,15 +1,17 @@
 //! `relcov doctor`: whether this program works on this machine, each line ok or with its remedy.
 
+mod finding;
 mod machine;
 mod trial;
 
 use clap::Args;
 
-use super::print_result;
+use super::terminal::print_result;
 use super::version::{features, instructions};
 use crate::COMMIT;
 use crate::device::{DEVICE_NAMES, Presence, device_name, how_to_build, look_for_devices, open_device};
 use crate::kernels::{Instructions, deviation_by, deviation_on};
+use finding::{Finding, Say};
 
 /// Convolutions deviate from their definition by less; GPUs that compute in 32-bit floats too.
 const LARGEST_DEVIATION: f64 = 1e-5;
@@ -27,31 +29,6 @@ pub struct DoctorArguments {
     #[arg(long, value_name = "DEVICE", default_value = "auto", help = format!("Where the tiny training runs: {DEVICE_NAMES}"))]
     device: String,
 }
-
-/// What was found of one thing.
-enum Finding {
-    Ok(String),
-    /// Worth knowing; nothing is wrong.
-    Note(String),
-    Wrong {
-        found: String,
-        remedy: String,
-    },
-}
-
-impl Finding {
-    fn wrong(found: impl Into<String>, remedy: impl Into<String>) -> Self {
-        Self::Wrong { found: found.into(), remedy: remedy.into() }
-    }
-
-    /// Ok, or a note where something is scarce.
-    fn scarce(is_scarce: bool, found: String, remedy: &str) -> Self {
-        if is_scarce { Self::Note(format!("{found}: scarce; {remedy}")) } else { Self::Ok(found) }
-    }
-}
-
-/// Told of each thing that was looked at.
-type Say<'a> = &'a mut dyn FnMut(&str, Finding) -> anyhow::Result<()>;
 
 pub fn run(arguments: &DoctorArguments) -> anyhow::Result<()> {
     let mut wrong = 0;

@@ -6,9 +6,12 @@ use std::sync::Arc;
 use burn::tensor::Device;
 use clap::{ArgGroup, Args};
 
+use super::choices::{FrameArgument, SplitArgument};
 use super::output::OutputArguments;
+use super::overrides::Overrides;
 use super::progress::{Progress, note};
-use super::{FrameArgument, Overrides, SplitArgument, Terminal, synth};
+use super::synth;
+use super::terminal::Terminal;
 use crate::config::Config;
 use crate::device::{device_name, open_device};
 use crate::error::{Error, Place};
@@ -162,9 +165,10 @@ pub fn evaluate_run(
         log_variance_floor: manifest.architecture.floor_of_covariances(),
         configuration: Some(config.to_toml()),
     };
-    let mut evaluation = evaluate_table(&table, &baselines(&manifest), origin)?;
+    let (fitted, error_frame) = (baselines(&manifest), manifest.conventions.error_frame);
+    let mut evaluation = evaluate_table(&table, &fitted, origin)?;
     evaluation.perturbation_response =
-        perturbation_response(&model, &reader, &dataset, dataset.require(split)?, &manifest, &device)?;
+        perturbation_response(&model, &reader, &dataset, dataset.require(split)?, &fitted, error_frame, &device)?;
     for bad in &bad_frames {
         note(false, &format!("left out: {}", describe(bad)));
     }

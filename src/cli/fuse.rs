@@ -1,27 +1,30 @@
 //! `relcov fuse`: several systems and absolute fixes to one trajectory.
 
+mod arguments;
 mod files;
 mod measured;
+mod reach;
 
-use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::Context;
-use clap::{ArgGroup, Args};
 
 use super::output::make_folder;
 use super::progress::{Progress, note};
-use super::{Overrides, SplitArgument, Terminal, print_result};
+use super::terminal::{Terminal, print_result};
 use crate::error::{Error, Result};
 use crate::evaluation::Method;
 use crate::export::fused_trajectory;
 use crate::files::{extension, fill_template, read_text, require_slots, write_atomically};
-use crate::fusion::{DEVIATIONS, Fix, FusedTrajectory, Odometry, SimulatedFixes, TrajectoryScores, fuse, parse_fixes};
+use crate::fusion::{Fix, FusedTrajectory, Odometry, SimulatedFixes, TrajectoryScores, fuse, parse_fixes};
 use crate::recordings::Trajectory;
 use crate::report::figures::{DrawnTrajectory, FusedDrive, draw_fusion, to_png};
-use crate::report::{FusionRow, TableFormat, fusion_table};
+use crate::report::{FusionRow, fusion_table};
 use files::fuse_files;
 use measured::{available, chosen_systems, drives_of, odometry_of, predicted, true_trajectory, without_model};
+use reach::reached;
+
+pub use arguments::FuseArguments;
 
 /// What trained predictions are called.
 const RELCOV: &str = "relcov";
@@ -29,92 +32,8 @@ const RELCOV: &str = "relcov";
 /// Most drives in a picture.
 const MOST_DRAWN: usize = 4;
 
-/// Arguments of `relcov fuse`.
-#[derive(Args)]
-#[command(group(ArgGroup::new("input").required(true).args(["odometry", "run", "baselines_only"])))]
-#[command(after_help = "Examples:
-  relcov fuse --odometry vo=vo.csv --odometry wheel=wheel.csv --fixes gnss.csv --out fused.tum
-  relcov fuse --odometry vo=vo.csv --constant vo=.05,.02,.02,1e-3,1e-3,2e-3 --truth poses.txt
-  relcov fuse --run checkpoints/synthetic --config configs/synthetic_fusion.toml --simulate-fixes 100,0.5
-  relcov fuse --baselines-only --config configs/kitti.toml --set data.root=../shared/kitti --simulate-fixes 50,1
-
---odometry reads relative poses with their covariances (the csv of `relcov predict`, or any program's:
-source,target,x,y,z,qx,qy,qz,qw and 36 values). --run and --baselines-only fuse the systems of a configuration's
-test drives, once with each way to give them covariances, and score all of them against the truth; models with
-model.head = posterior also correct the measurements by the errors that the images show (relcov_corrected).
-Fixes are CSV: frame,x,y,z,std_x,std_y,std_z, and for whole poses qx,qy,qz,qw,std_roll,std_pitch,std_yaw.
-How it works and what it is worth: docs/fusion.md.")]
-pub struct FuseArguments {
-    /// One system's relative poses; repeatable
-    #[arg(long, value_name = "NAME=FILE")]
-    odometry: Vec<String>,
-    /// Give a system of --odometry one covariance: six standard deviations, m and rad
-    #[arg(long, value_name = "NAME=X,Y,Z,ROLL,PITCH,YAW", requires = "odometry", conflicts_with_all = ["run", "baselines_only"])]
-    constant: Vec<String>,
-    /// With --odometry: true poses to score against, KITTI rows of 12, or 13 with the frame
-    #[arg(long, value_name = "FILE", requires = "odometry", conflicts_with_all = ["run", "baselines_only"])]
-    truth: Option<PathBuf>,
-    /// Predict the covariances by a trained model; repeatable: each system takes the first run that learned it
-    #[arg(long, value_name = "RUN")]
-    run: Vec<PathBuf>,
-    /// Take covariances that need no model, fitted to the training drives
-    #[arg(long, requires = "config")]
-    baselines_only: bool,
-    /// The data of another configuration
-    #[arg(long, value_name = "FILE", conflicts_with = "odometry")]
-    config: Option<PathBuf>,
-    /// Which pairs of the configuration
-    #[arg(long, value_enum, default_value = "test", conflicts_with = "odometry")]
-    split: SplitArgument,
-    /// Only these systems of the configuration; repeatable [default: all that have errors]
-    #[arg(long, value_name = "NAME", conflicts_with = "odometry")]
-    system: Vec<String>,
-    /// Absolute fixes; {drive} stands for a drive's name
-    #[arg(long, value_name = "FILE")]
-    fixes: Option<PathBuf>,
-    /// Draw fixes around the truth: a position every N frames, errors of STD metres along each axis
-    #[arg(long, value_name = "N,STD", value_parser = parse_simulated, conflicts_with = "fixes")]
-    simulate_fixes: Option<(usize, f64)>,
-    /// Seed of simulated fixes
-    #[arg(long, default_value_t = 0, requires = "simulate_fixes", conflicts_with = "fixes")]
-    seed: u64,
-    /// Fuse so many times, with other simulated fixes each time, and score all of them
-    #[arg(long, default_value_t = 1, requires = "simulate_fixes", conflicts_with = "odometry", value_parser = clap::value_parser!(u64).range(1..10_000))]
-    draws: u64,
-    /// Write trajectories with their marginal covariances: of --odometry to this file, else into this folder
-    #[arg(long, value_name = "PATH")]
-    out: Option<PathBuf>,
-    /// Draw the trajectories of the first four drives: a .svg or .png file
-    #[arg(long, value_name = "FILE", conflicts_with = "odometry")]
-    save_plot: Option<PathBuf>,
-    /// Form of the table on stdout
-    #[arg(long, value_enum, default_value = "text", value_name = "FORM")]
-    format: TableFormat,
-    #[command(flatten)]
-    overrides: Overrides,
-}
-
-fn parse_simulated(text: &str) -> Result<(usize, f64), String> {
-    let parsed =
-        text.split_once(',').and_then(|(every, std)| Some((every.trim().parse().ok()?, std.trim().parse().ok()?)));
-    let usable = parsed.filter(|(every, std): &(usize, f64)| *every > 0 && DEVIATIONS.contains(std));
-    usable.ok_or_else(|| format!("`{text}` is not N,STD; a fix every 50 frames with half a metre: 50,0.5"))
-}
-
 pub fn run(arguments: &FuseArguments, terminal: &Terminal) -> anyhow::Result<()> {
     if arguments.odometry.is_empty() { fuse_drives(arguments, terminal) } else { fuse_files(arguments, terminal) }
-}
-
-/// The frames that some motion reaches.
-fn reached_frames(odometry: &[Odometry]) -> BTreeSet<usize> {
-    let motions = odometry.iter().flat_map(|system| &system.motions);
-    motions.flat_map(|motion| [motion.source, motion.target]).collect()
-}
-
-/// The true poses of frames that some motion reaches.
-fn reached(truth: &Trajectory, odometry: &[Odometry]) -> Trajectory {
-    let frames = reached_frames(odometry);
-    truth.iter().filter(|(frame, _)| frames.contains(frame)).map(|(&frame, &pose)| (frame, pose)).collect()
 }
 
 /// The systems of a configuration, drive by drive, with every kind of covariance that there is.

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::progress::note;
-use super::{Terminal, print_result};
+use super::terminal::{Terminal, print_result};
 use crate::error::{Error, Result};
 use crate::files::{read_bytes, write_atomically};
 

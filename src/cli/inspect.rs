@@ -7,7 +7,7 @@ use clap::Args;
 use comfy_table::{CellAlignment, Table, presets};
 
 use super::output::require_png;
-use super::print_result;
+use super::terminal::print_result;
 use crate::config::Config;
 use crate::depth::{DepthCache, DepthConfig};
 use crate::device::open_device;

@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use super::{Terminal, print_result, progress::note};
+use super::progress::note;
+use super::terminal::{Terminal, print_result};
 use crate::error::{Error, Result};
 use crate::evaluation::write_pairs;
 use crate::files::{extension, require_apart, write_atomically};

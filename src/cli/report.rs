@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use super::Terminal;
 use super::output::{OutputArguments, make_folder};
 use super::progress::note;
+use super::terminal::Terminal;
 use crate::error::Result;
 use crate::files::{require_apart, write_atomically};
 use crate::report::{Comparison, Entry, html_page};

@@ -6,7 +6,7 @@ use anyhow::Context;
 use clap::Args;
 
 use super::progress::{Progress, note};
-use super::{Terminal, print_result};
+use super::terminal::{Terminal, print_result};
 use crate::config::Config;
 use crate::synthetic::{RecordingProgress, Replace, SyntheticSettings, record};
 

@@ -8,9 +8,12 @@ use anyhow::Context;
 use clap::Args;
 
 use super::eval::{self, Recalibrate};
+use super::exit_codes::INTERRUPTED;
 use super::output::DetailArgument;
+use super::overrides::Overrides;
 use super::progress::{Progress, note};
-use super::{Overrides, Terminal, print_result, synth};
+use super::synth;
+use super::terminal::{Terminal, print_result};
 use crate::device::{device_name, is_slow_to_train, open_device};
 use crate::error::Error;
 use crate::pairs::{Dataset, PairScope, SplitName};
@@ -120,7 +123,7 @@ fn prepare(arguments: &TrainArguments, terminal: &Terminal) -> anyhow::Result<Le
 pub fn interrupt_on_ctrl_c(flag: Arc<AtomicBool>, training: Arc<AtomicBool>) -> anyhow::Result<()> {
     ctrlc::set_handler(move || {
         if flag.swap(true, Ordering::Relaxed) || !training.load(Ordering::Relaxed) {
-            std::process::exit(i32::from(super::INTERRUPTED));
+            std::process::exit(i32::from(INTERRUPTED));
         }
         note(false, "finishing this mini-batch, then saving (Ctrl-C again stops at once)");
     })

@@ -6,9 +6,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::Args;
 
+use super::overrides::Overrides;
 use super::progress::{Progress, note};
+use super::synth;
+use super::terminal::{Terminal, print_result};
 use super::train::interrupt_on_ctrl_c;
-use super::{Overrides, Terminal, print_result, synth};
 use crate::depth::DepthConfig;
 use crate::device::{device_name, open_device};
 use crate::error::Error;

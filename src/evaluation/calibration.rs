@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::metrics::JointScores;
+use super::joint_scores::JointScores;
 
 /// Bins of σ.
 const BINS: usize = 10;

@@ -7,6 +7,7 @@ use super::against_true::AgainstTrue;
 use super::bootstrap::Resamples;
 use super::calibration::{ConditionalCalibration, ence};
 use super::correction::RmsRatio;
+use super::joint_scores::JointScores;
 use super::ranks::{quantile, spearman};
 use super::sparsification::sparsification_areas;
 use crate::geometry::Covariance6;
@@ -78,36 +79,6 @@ pub struct Difference {
     pub mean: f64,
     /// Bounds.
     pub interval: [f64; 2],
-}
-
-/// Scores of whole matrices, row by row.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct JointScores {
-    /// eᵀR⁻¹e.
-    pub(super) nees: Vec<f64>,
-    /// ln det R.
-    pub(super) log_determinant: Vec<f64>,
-    /// ½(6 ln 2π + ln det R + eᵀR⁻¹e), nats.
-    pub(super) nll: Vec<f64>,
-}
-
-impl JointScores {
-    /// `None` when a covariance cannot be inverted or all errors are zero.
-    pub(super) fn of(covariances: &[Covariance6], errors: &[[f64; 6]]) -> Option<Self> {
-        if errors.iter().flatten().all(|&error| error == 0.0) {
-            return None;
-        }
-        let rows = covariances.iter().zip(errors);
-        let (nees, log_determinant): (Vec<f64>, Vec<f64>) = rows
-            .map(|(covariance, &error)| covariance.mahalanobis(&error.into()))
-            .collect::<Option<Vec<_>>>()?
-            .into_iter()
-            .unzip();
-        let nll = nees.iter().zip(&log_determinant);
-        let nll = nll
-            .map(|(distance, log_determinant)| 0.5 * (6.0 * std::f64::consts::TAU.ln() + log_determinant + distance));
-        Some(Self { nll: nll.collect(), nees, log_determinant })
-    }
 }
 
 /// Evaluates covariances against errors, row by row (order ρ then φ); `None` without rows.

@@ -11,6 +11,7 @@ mod by_name;
 mod calibration;
 mod correction;
 mod depth_sources;
+mod joint_scores;
 mod log_linear;
 mod methods;
 mod metrics;

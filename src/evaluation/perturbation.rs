@@ -6,6 +6,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
+use super::baselines::Baselines;
 use super::prediction::read_values;
 use super::ranks::spearman;
 use crate::error::Result;
@@ -13,7 +14,6 @@ use crate::geometry::{ErrorFrame, Pose, Tangent};
 use crate::model::CovarianceModel;
 use crate::pairs::{Dataset, Pair, PairBatch, PairReader, PairSample, RightImages, Split};
 use crate::systems::standard_normal;
-use crate::training::Manifest;
 
 /// Images that are perturbed, and perturbations of each.
 const IMAGES: usize = 64;
@@ -36,7 +36,8 @@ pub struct PerturbationResponse {
 }
 
 /// Perturbs images of a split: `ε = s u σ`, u a random direction, s log-uniform from 0.1 to 10, σ the
-/// first system's constant standard deviations.
+/// first system's constant standard deviations, by the baselines that its model's run fitted. The error frame is the
+/// model's.
 ///
 /// `None` in world axes, in which an image alone has no place, and for a system the run was not trained
 /// on or that has no errors.
@@ -48,15 +49,16 @@ pub fn perturbation_response(
     reader: &PairReader,
     dataset: &Dataset,
     split: &Split,
-    manifest: &Manifest,
+    baselines: &[(String, Baselines)],
+    error_frame: ErrorFrame,
     device: &Device,
 ) -> Result<Option<PerturbationResponse>> {
-    let first = manifest.systems.iter().find(|summary| summary.name == dataset.systems[0]);
-    let constant = first.map(|summary| summary.baselines.mean_squared_error);
+    let first = baselines.iter().find(|(system, _)| *system == dataset.systems[0]);
+    let constant = first.map(|(_, fitted)| fitted.mean_squared_error);
     let Some(constant_variance) = constant.filter(|variance| variance.iter().all(|&value| value > 0.0)) else {
         return Ok(None);
     };
-    let camera_from_frame = |pair: &Pair| match manifest.conventions.error_frame {
+    let camera_from_frame = |pair: &Pair| match error_frame {
         ErrorFrame::Vehicle => Some(dataset.drives[pair.id.drive].calibration.camera_from_vehicle),
         ErrorFrame::Camera => Some(Pose::identity()),
         ErrorFrame::World => None,

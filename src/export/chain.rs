@@ -1,9 +1,8 @@
 //! Relative poses chained to a trajectory, with the covariance that adds up along it.
 
+use super::motion::MeasuredMotions;
 use crate::error::{Error, Result};
 use crate::geometry::{Covariance6, Pose};
-
-use super::MeasuredMotions;
 
 /// Poses of a drive in the axes of its first frame.
 #[derive(Clone, Debug)]

@@ -1,6 +1,9 @@
 //! Relative poses as `relcov` itself reads them: `source,target,x,y,z,qx,qy,qz,qw` and 36 values, row by row.
 
-use super::{ExportOptions, MeasuredMotions, Perturbation, join, pose_numbers, rows};
+use super::motion::MeasuredMotions;
+use super::numbers::{join, pose_numbers, rows};
+use super::options::ExportOptions;
+use super::perturbation::Perturbation;
 use crate::systems::{Side, Statement, relative_pose_header};
 
 pub(super) fn render(measured: &MeasuredMotions, options: &ExportOptions) -> String {

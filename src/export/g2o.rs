@@ -5,7 +5,10 @@
 
 use nalgebra::{Matrix6, Vector6};
 
-use super::{G2oRotation, MeasuredMotions, Perturbation, join, pose_numbers};
+use super::motion::MeasuredMotions;
+use super::numbers::{join, pose_numbers};
+use super::options::G2oRotation;
+use super::perturbation::Perturbation;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
 use crate::recordings::Trajectory;

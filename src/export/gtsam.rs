@@ -2,7 +2,9 @@
 //!
 //! GTSAM's tangent is rotation before translation, its error `Logmap(T̂⁻¹T)`: a right perturbation in axes of the target.
 
-use super::{MeasuredMotions, Perturbation, join, pose_numbers, rotation_first, rows};
+use super::motion::MeasuredMotions;
+use super::numbers::{join, pose_numbers, rotation_first, rows};
+use super::perturbation::Perturbation;
 
 pub(super) fn render(measured: &MeasuredMotions, floor: Option<[f64; 2]>) -> String {
     let names = ["rx", "ry", "rz", "x", "y", "z"];

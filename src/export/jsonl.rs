@@ -2,7 +2,10 @@
 
 use serde::Serialize;
 
-use super::{ExportOptions, MeasuredMotion, MeasuredMotions, Perturbation, Poses, Verdict, on_side, pose_numbers};
+use super::motion::{MeasuredMotion, MeasuredMotions, Verdict};
+use super::numbers::pose_numbers;
+use super::options::{ExportOptions, Poses};
+use super::perturbation::{Perturbation, on_side};
 use crate::geometry::{Conventions, Covariance6, Pose, Posterior};
 use crate::time::Time;
 
@@ -173,7 +176,7 @@ mod tests {
             assert_eq!(matrix(&line, "corrected_covariance"), *corrected.covariance_on(side, floor).matrix());
             let asked = ExportOptions { poses: Poses::Corrected, ..options };
             let alone: Value = serde_json::from_str(
-                super::super::Format::Jsonl.render(&seen(), &asked).unwrap().lines().next().unwrap(),
+                crate::export::Format::Jsonl.render(&seen(), &asked).unwrap().lines().next().unwrap(),
             )
             .unwrap();
             assert_eq!(

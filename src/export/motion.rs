@@ -1,6 +1,6 @@
 //! What is exported: measured motions, each with what a model says of its error, and the same motions corrected.
 
-use super::{Perturbation, on_side};
+use super::perturbation::{Perturbation, on_side};
 use crate::alignment::NoVerdict;
 use crate::error::{Error, Result};
 use crate::geometry::{Covariance6, ErrorFrame, Pose, Posterior};

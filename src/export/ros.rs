@@ -6,7 +6,8 @@
 use nalgebra::Matrix6;
 use serde_json::json;
 
-use super::{MeasuredMotion, MeasuredMotions, pose_numbers, rows};
+use super::motion::{MeasuredMotion, MeasuredMotions};
+use super::numbers::{pose_numbers, rows};
 use crate::geometry::{Pose, hat};
 
 pub(super) fn render(measured: &MeasuredMotions, floor: Option<[f64; 2]>) -> String {

@@ -2,9 +2,11 @@
 
 use nalgebra::Matrix4;
 
-use super::{
-    Chain, ExportOptions, MeasuredMotions, Perturbation, TrajectoryCovariance, join, on_side, pose_numbers, rows,
-};
+use super::chain::Chain;
+use super::motion::MeasuredMotions;
+use super::numbers::{join, pose_numbers, rows};
+use super::options::{ExportOptions, TrajectoryCovariance};
+use super::perturbation::{Perturbation, on_side};
 use crate::error::{Error, Result};
 use crate::fusion::FusedTrajectory;
 use crate::geometry::{Covariance6, Pose};

@@ -3,19 +3,18 @@
 use std::collections::BTreeMap;
 
 use factrs::core::{BetweenResidual, Factor, GaussianNoise, Graph, PriorResidual, SE3, SO3, Values};
+use factrs::fac;
 use factrs::linalg::{Const, ForwardProp, Matrix6 as Matrix6f, Numeric, Vector3 as Vector3f, VectorX};
 use factrs::residuals::Residual1;
-use factrs::{assign_symbols, fac};
 use nalgebra::{Matrix3, Matrix6, Quaternion, UnitQuaternion, Vector3};
 
 use super::fixes::{Fix, anchor};
 use super::solver::{marginals, solve};
+use super::variables::X;
 use crate::error::{Error, Result};
 use crate::geometry::{Covariance6, Pose, ROTATION, TRANSLATION, hat};
 use crate::recordings::Trajectory;
 use crate::systems::{RelativePose, chain_poses};
-
-assign_symbols!(X: SE3);
 
 /// Fixes that place a trajectory in the world when none has an attitude.
 const FEWEST_POSITIONS: usize = 3;

@@ -13,6 +13,7 @@ mod fixes;
 mod graph;
 mod scores;
 mod solver;
+mod variables;
 
 pub use fixes::{DEVIATIONS, Fix, SimulatedFixes, parse_fixes};
 pub use graph::{FusedTrajectory, Odometry, fuse};

@@ -14,7 +14,7 @@ use faer::sparse::linalg::solvers::{Llt, SymbolicLlt};
 use faer::{Mat, MatRef, Side};
 use nalgebra::Matrix6;
 
-use super::graph::X;
+use super::variables::X;
 use crate::error::{Error, Result};
 use crate::geometry::Covariance6;
 

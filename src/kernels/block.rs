@@ -1,14 +1,21 @@
 //! A convolution with what surrounds it in a network: one kernel where it is only used, Burn's operations where it
 //! learns or where there is no kernel.
 
+#[cfg(feature = "flex")]
+use burn::backend::Dispatch;
 use burn::nn::conv::Conv2d;
 use burn::tensor::Tensor;
 use burn::tensor::activation::relu;
 use burn::tensor::module::interpolate;
 use burn::tensor::ops::{InterpolateMode, InterpolateOptions, PadMode};
 
-use super::conv2d;
-use super::fused::{Activation, Border};
+use super::border::Border;
+#[cfg(feature = "flex")]
+use super::extension::{FusedPlan, Operations};
+#[cfg(feature = "flex")]
+use super::flex::{convolution_shape, takes_without_gradients};
+use super::fused::Activation;
+use super::operations::conv2d;
 
 /// `activation(layer(border(cat(doubled(input), skip))) + shortcut)`.
 pub(crate) struct Block<'a> {
@@ -43,10 +50,48 @@ impl<'a> Block<'a> {
     /// - `input`: `[batch, channels, height, width]`, half the size if doubled
     pub fn forward(self, input: Tensor<4>) -> Tensor<4> {
         #[cfg(feature = "flex")]
-        if let Some(output) = super::flex::block(&self, &input) {
+        if let Some(output) = self.forward_fused(&input) {
             return output;
         }
         self.forward_separately(input)
+    }
+
+    /// A block as the fused kernel does it; `None` where only separate operations can: with gradients, or not on flex.
+    #[cfg(feature = "flex")]
+    fn forward_fused(&self, input: &Tensor<4>) -> Option<Tensor<4>> {
+        let Self { layer, doubled, skip, border, shortcut, activation } = self;
+        let weight = layer.weight.val();
+        let tensors = [Some(input), Some(&weight), skip.as_ref(), shortcut.as_ref()];
+        let taken = tensors.into_iter().flatten().all(takes_without_gradients);
+        let bias = layer.bias.as_ref().filter(|_| taken)?.val();
+        let mut shape = convolution_shape(layer, input)?;
+        if *border == Border::Mirror {
+            assert_eq!(shape.padding, [0, 0], "a mirrored border is all the padding there is");
+            shape.padding = shape.kernel.map(|size| size / 2);
+        }
+        if *doubled {
+            shape.size = shape.size.map(|size| 2 * size);
+        }
+        let skip_channels = skip.as_ref().map_or(0, |skip| skip.dims()[1]);
+        shape.inputs += skip_channels;
+        let plan = FusedPlan {
+            shape,
+            doubled: *doubled,
+            skip_channels,
+            border: *border,
+            shortcut: shortcut.is_some(),
+            activation: *activation,
+        };
+        let none = bias.clone().into_dispatch();
+        let or_none = |tensor: &Option<Tensor<4>>| tensor.clone().map_or_else(|| none.clone(), Tensor::into_dispatch);
+        Some(Tensor::from_dispatch(Dispatch::fused_convolution(
+            input.clone().into_dispatch(),
+            or_none(skip),
+            weight.into_dispatch(),
+            bias.into_dispatch(),
+            or_none(shortcut),
+            plan,
+        )))
     }
 
     fn forward_separately(self, input: Tensor<4>) -> Tensor<4> {

@@ -11,11 +11,14 @@ use burn::tensor::{Bytes, DType, Shape};
 
 use super::activation::{self, DropoutRate};
 use super::adam::{AdamFactors, adam};
-use super::convolution::{self, ConvolutionShape};
+use super::border::Border;
+use super::convolution;
 use super::dense::vector_matrix;
-use super::fused::{Activation, Border, FusedConvolution, Part};
+use super::fused::{Activation, FusedConvolution};
 use super::instructions::Instructions;
+use super::layouts::Part;
 use super::pool::max_pool;
+use super::shape::ConvolutionShape;
 use super::warp::{Validity, WarpInput, warp};
 
 /// Layers of a network, differentiable.

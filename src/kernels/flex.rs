@@ -7,11 +7,9 @@ use burn::tensor::{DType, Distribution, Int, Tensor};
 
 use super::activation::DropoutRate;
 use super::adam::AdamFactors;
-use super::block::Block;
-use super::convolution::ConvolutionShape;
-use super::extension::{FusedPlan, Layers, Operations};
-use super::fused::Border;
+use super::extension::{Layers, Operations};
 use super::instructions::Instructions;
+use super::shape::ConvolutionShape;
 use super::warp::Validity;
 
 /// Whether the kernels can take this tensor.
@@ -52,43 +50,6 @@ pub(super) fn conv2d(layer: &Conv2d, input: Tensor<4>, shape: ConvolutionShape) 
 
 pub(super) fn max_pool(input: Tensor<4>) -> Tensor<4> {
     Tensor::from_dispatch(Dispatch::max_pool(input.into_dispatch()))
-}
-
-/// A block as the fused kernel does it; `None` where only separate operations can: with gradients, or not on flex.
-pub(super) fn block(block: &Block, input: &Tensor<4>) -> Option<Tensor<4>> {
-    let Block { layer, doubled, skip, border, shortcut, activation } = block;
-    let weight = layer.weight.val();
-    let tensors = [Some(input), Some(&weight), skip.as_ref(), shortcut.as_ref()];
-    let taken = tensors.into_iter().flatten().all(takes_without_gradients);
-    let bias = layer.bias.as_ref().filter(|_| taken)?.val();
-    let mut shape = convolution_shape(layer, input)?;
-    if *border == Border::Mirror {
-        assert_eq!(shape.padding, [0, 0], "a mirrored border is all the padding there is");
-        shape.padding = shape.kernel.map(|size| size / 2);
-    }
-    if *doubled {
-        shape.size = shape.size.map(|size| 2 * size);
-    }
-    let skip_channels = skip.as_ref().map_or(0, |skip| skip.dims()[1]);
-    shape.inputs += skip_channels;
-    let plan = FusedPlan {
-        shape,
-        doubled: *doubled,
-        skip_channels,
-        border: *border,
-        shortcut: shortcut.is_some(),
-        activation: *activation,
-    };
-    let none = bias.clone().into_dispatch();
-    let or_none = |tensor: &Option<Tensor<4>>| tensor.clone().map_or_else(|| none.clone(), Tensor::into_dispatch);
-    Some(Tensor::from_dispatch(Dispatch::fused_convolution(
-        input.clone().into_dispatch(),
-        or_none(skip),
-        weight.into_dispatch(),
-        bias.into_dispatch(),
-        or_none(shortcut),
-        plan,
-    )))
 }
 
 pub(super) fn relu_dropout<const D: usize>(layer: &Dropout, input: Tensor<D>) -> Tensor<D> {

@@ -4,21 +4,12 @@
 use pulp::Simd;
 
 use super::activation::relu;
+use super::border::Border;
 use super::buffer::{Shared, filled};
-use super::convolution::{ConvolutionShape, pieces};
 use super::instructions::{Instructions, Kernel};
-use super::layouts::{Phases, offset};
+use super::layouts::{Part, Phases, offset};
 use super::product::{Left, Right, product};
-
-/// What lies beyond the edge of an image.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) enum Border {
-    /// Zeros.
-    #[default]
-    Zeros,
-    /// The image's mirror image, without its edge pixels; for stride 1.
-    Mirror,
-}
+use super::shape::ConvolutionShape;
 
 /// What follows a convolution.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -30,16 +21,6 @@ pub(crate) enum Activation {
     Relu,
     /// `x` above 0, `eˣ − 1` below.
     Elu,
-}
-
-/// Some channels of a convolution's input.
-#[derive(Clone, Copy)]
-pub(super) struct Part<'a> {
-    /// `[batch, channels, height, width]`, half of both if doubled.
-    pub values: &'a [f32],
-    pub channels: usize,
-    /// Whether each pixel stands for four; for stride 1.
-    pub doubled: bool,
 }
 
 /// A convolution and what surrounds it.
@@ -78,7 +59,7 @@ impl FusedConvolution<'_> {
             product(instructions, left, &right, 1, |tile| {
                 for channel in tile.rows.clone() {
                     let bias = bias.map_or(0.0, |bias| bias[channel]);
-                    for (column, len) in pieces(&tile, plane) {
+                    for (column, len) in tile.pieces(plane) {
                         let (image, pixel) = (column / plane, column % plane);
                         let sums = &tile.row(channel)[column - tile.columns.start..][..len];
                         let start = (image * shape.outputs + channel) * plane + pixel;

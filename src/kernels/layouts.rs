@@ -2,14 +2,24 @@
 
 use rayon::prelude::*;
 
+use super::border::Border;
 use super::buffer::{Shared, filled};
-use super::convolution::ConvolutionShape;
-use super::fused::{Border, Part};
 use super::product::SLACK;
+use super::shape::ConvolutionShape;
 
 /// A place in an operand. Tables of places hold 32-bit numbers, half the memory of 64-bit ones.
 pub(super) fn offset(place: usize) -> u32 {
     u32::try_from(place).expect("a convolution of at most 2^32 values")
+}
+
+/// Some channels of a convolution's input.
+#[derive(Clone, Copy)]
+pub(super) struct Part<'a> {
+    /// `[batch, channels, height, width]`, half of both if doubled.
+    pub values: &'a [f32],
+    pub channels: usize,
+    /// Whether each pixel stands for four; for stride 1.
+    pub doubled: bool,
 }
 
 /// The padded input, cut into one image for each position within a stride, so that the inputs of
@@ -92,20 +102,6 @@ fn check_parts(parts: &[Part], shape: &ConvolutionShape, border: Border) {
     assert!(plain || shape.stride == [1, 1], "convolution: doubled and mirrored images go with stride 1");
     let mirrored = (0..2).all(|axis| shape.padding[axis] < shape.size[axis]);
     assert!(border == Border::Zeros || mirrored, "convolution: a mirror image no larger than the image");
-}
-
-impl Border {
-    /// The row of the image that a row of the padded image shows.
-    fn inside(self, padded: usize, padding: usize, size: usize) -> Option<usize> {
-        match self {
-            Self::Zeros => padded.checked_sub(padding).filter(|&row| row < size),
-            Self::Mirror if padded < padding => Some(padding - padded),
-            Self::Mirror => {
-                let row = padded - padding;
-                Some(if row < size { row } else { 2 * (size - 1) - row })
-            }
-        }
-    }
 }
 
 /// One channel of one image.

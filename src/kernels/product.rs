@@ -13,6 +13,7 @@ use pulp::Simd;
 use rayon::prelude::*;
 
 use super::instructions::{Instructions, Kernel};
+use super::tile::Tile;
 
 /// Columns of a packed panel: a multiple of three vectors of every instruction set.
 const PANEL: usize = 48;
@@ -57,26 +58,6 @@ struct Run {
     column: u32,
     len: u32,
     position: usize,
-}
-
-/// A finished part of C.
-pub(super) struct Tile<'a> {
-    /// Which part of the sum over k, if it was cut.
-    pub part: usize,
-    /// Rows of C.
-    pub rows: Range<usize>,
-    /// Columns of C.
-    pub columns: Range<usize>,
-    values: &'a [f32],
-    stride: usize,
-}
-
-impl Tile<'_> {
-    /// The values of a row, given by its number in C.
-    #[inline]
-    pub fn row(&self, row: usize) -> &[f32] {
-        &self.values[(row - self.rows.start) * self.stride..][..self.columns.len()]
-    }
 }
 
 impl<'a> Left<'a> {

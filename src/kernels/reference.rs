@@ -1,6 +1,6 @@
 //! Convolution and gradients as their definition says, in f64: what the kernels and every device are compared with.
 
-use super::convolution::ConvolutionShape;
+use super::shape::ConvolutionShape;
 
 /// Output, gradient of the input and gradient of the weights, each beside the sum of the sizes of its
 /// terms, which bounds what f32 may round away.

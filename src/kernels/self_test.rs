@@ -3,9 +3,10 @@
 use burn::tensor::ops::ConvOptions;
 use burn::tensor::{Device, Tensor, TensorData, module};
 
-use super::convolution::{ConvolutionShape, convolution, input_gradient, weight_gradient};
+use super::convolution::{convolution, input_gradient, weight_gradient};
 use super::instructions::Instructions;
 use super::reference::{Reference, deviation, noise, reference};
+use super::shape::ConvolutionShape;
 
 /// One that fills no vector and no tile evenly.
 const SHAPE: ConvolutionShape = ConvolutionShape {

@@ -5,7 +5,7 @@ use burn::nn::conv::{Conv2d, Conv2dConfig};
 use burn::nn::{Dropout, DropoutConfig, PaddingConfig2d};
 use burn::tensor::{Device, Tensor};
 
-use super::HE_UNIFORM;
+use super::initialisation::HE_UNIFORM;
 use crate::kernels::{conv2d, relu_dropout};
 
 /// Table I: kernel size, stride and outputs of c1…c5.

@@ -5,7 +5,7 @@ use burn::nn::{Linear, LinearConfig};
 use burn::tensor::activation::relu;
 use burn::tensor::{Device, Tensor};
 
-use super::HE_UNIFORM;
+use super::initialisation::HE_UNIFORM;
 
 /// Units of its hidden layers.
 const UNITS: usize = 64;

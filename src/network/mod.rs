@@ -5,11 +5,12 @@
 mod convolutions;
 mod evidence_encoder;
 mod head;
+mod initialisation;
 mod pose_encoder;
 mod posterior;
 
 use burn::module::{Module, Param};
-use burn::nn::{Initializer, Linear, LinearConfig};
+use burn::nn::{Linear, LinearConfig};
 use burn::tensor::activation::relu;
 use burn::tensor::{Device, Tensor};
 use serde::{Deserialize, Serialize};
@@ -17,6 +18,7 @@ use serde::{Deserialize, Serialize};
 use crate::kernels::linear;
 use convolutions::Convolutions;
 use evidence_encoder::EvidenceEncoder;
+use initialisation::HE_UNIFORM;
 use pose_encoder::PoseEncoder;
 
 pub use head::{Head, posterior};
@@ -26,10 +28,6 @@ pub(crate) use posterior::{EvidenceTensors, PosteriorTensors};
 const HIDDEN_UNITS: usize = 128;
 /// Log-variances, the first outputs of fc2.
 const COMPONENTS: usize = 6;
-
-/// He's initialisation (He et al. 2015), which keeps the variance of activations through ReLU layers;
-/// Burn draws biases from the same law, where He's are zero.
-const HE_UNIFORM: Initializer = Initializer::KaimingUniform { gain: std::f64::consts::SQRT_2, fan_out_only: false };
 
 /// Which network looks at the images.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

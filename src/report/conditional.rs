@@ -1,7 +1,9 @@
 //! Calibration where σ is small and where it is large, as a table: the worst of ten bins.
 
+use super::cells::cell;
+use super::columns::named_columns;
 use super::comparison::Comparison;
-use super::scores::{cell, method_table, named_columns};
+use super::method_table::method_table;
 use super::table::{Better, Table, three_digits};
 use crate::evaluation::Metrics;
 use crate::geometry::Conventions;

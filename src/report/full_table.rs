@@ -1,7 +1,7 @@
 //! The scores of every method in one wide table, for programs.
 
+use super::columns::named_columns;
 use super::comparison::{Comparison, Judged};
-use super::scores::named_columns;
 use super::table::{Cell, Table};
 use crate::evaluation::Metrics;
 use crate::geometry::Conventions;

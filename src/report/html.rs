@@ -2,10 +2,11 @@
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
+use super::cells::Intervals;
 use super::comparison::Comparison;
 use super::figures::{Figure, draw_figures};
 use super::notes::{notes, preface};
-use super::scores::{Detail, Intervals, tables};
+use super::scores::{Detail, tables};
 use super::table::{Cell, Table};
 use crate::error::Result;
 use crate::geometry::Conventions;

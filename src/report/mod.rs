@@ -1,5 +1,7 @@
 //! Results for people: tables, figures, one page. Takes evaluations, never tensors.
 
+mod cells;
+mod columns;
 mod comparison;
 mod conditional;
 mod contact_sheet;
@@ -7,15 +9,17 @@ pub mod figures;
 mod full_table;
 mod fusion;
 mod html;
+mod method_table;
 mod notes;
 mod scores;
 mod summary;
 mod table;
 mod table_two;
 
+pub use cells::Intervals;
 pub use comparison::{Comparison, Entry, Judged};
 pub use contact_sheet::{CONTACT_SHEET_COLUMNS, SheetRow, contact_sheet};
 pub use fusion::{FusionRow, fusion_table};
 pub use html::html_page;
-pub use scores::{Detail, Intervals, render_results};
+pub use scores::{Detail, render_results};
 pub use table::TableFormat;

@@ -1,24 +1,18 @@
 //! What an evaluation found, as tables: the three answers first, the MDE table (paper Table II), and for who looks closer
 //! proper scores, calibration, and how systems are told apart.
 
-use super::comparison::{Comparison, Judged};
+use super::cells::{Intervals, anees_cell, cell, mde_cell, nll_cell, three_decimals, with_interval};
+use super::columns::{named_columns, unit_columns};
+use super::comparison::Comparison;
 use super::conditional::conditional_table;
 use super::full_table::full_table;
+use super::method_table::method_table;
 use super::notes::{notes, preface, separation_notes};
 use super::summary::summary_table;
 use super::table::{Better, Cell, Table, TableFormat, three_digits};
 use super::table_two::table_two;
-use crate::evaluation::{Method, Metrics};
+use crate::evaluation::Metrics;
 use crate::geometry::Conventions;
-
-/// Whether values come with their block-bootstrap intervals.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Intervals {
-    /// `0.0494 [0.0481, 0.0507]`
-    Shown,
-    /// `0.0494`
-    Hidden,
-}
 
 /// How much people are shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -111,46 +105,6 @@ fn crps_table(comparison: &Comparison, intervals: Intervals) -> Table {
     )
 }
 
-/// A table of those methods below one another that a condition keeps, system after system.
-pub(super) fn method_table(
-    title: &str,
-    header: Vec<String>,
-    comparison: &Comparison,
-    keep: impl Fn(Method) -> bool,
-    row: impl Fn(&Metrics) -> Vec<Cell>,
-    better: &[Better],
-) -> Table {
-    let mut rows = Vec::new();
-    let mut outside = Vec::new();
-    for system in comparison.systems() {
-        for (name, judged) in comparison.methods(system).into_iter().filter(|(_, judged)| keep(judged.method)) {
-            let cells = row(judged.metrics);
-            if cells.iter().all(|cell| cell.text.is_empty()) {
-                continue;
-            }
-            outside.push(!competes(&judged));
-            rows.push([vec![Cell::name(system), Cell::name(name)], cells].concat());
-        }
-    }
-    let excluded: Vec<(Cell, Cell)> = rows
-        .iter()
-        .zip(outside)
-        .filter(|(_, outside)| *outside)
-        .map(|(row, _)| (row[0].clone(), row[1].clone()))
-        .collect();
-    let mut table = Table { title: title.to_owned(), header, names: 2, rows };
-    if comparison.is_fair() {
-        table.mark_best(|row| !excluded.iter().any(|(system, method)| *system == row[0] && *method == row[1]), better);
-    }
-    table
-}
-
-pub(super) fn competes(judged: &Judged) -> bool {
-    // Against a truth the smallest σ would win; a corrected measurement is another one, with other errors.
-    judged.metrics.nll.is_some()
-        && !matches!(judged.method, Method::Oracle | Method::OracleDiagonal | Method::Corrected)
-}
-
 /// Calibration and sharpness of the predictions, component by component.
 fn calibration_table(comparison: &Comparison) -> Option<Table> {
     type Score = (&'static str, fn(&Metrics) -> Option<[Option<f64>; 6]>);
@@ -224,55 +178,6 @@ fn separation_table(comparison: &Comparison) -> Option<Table> {
         .chain(named_columns(&["AUROC", "response"]));
     let title = "median σ of one system / of the other on the same images; AUROC of telling them apart by trace R; rank correlation of σ with the size of an injected pose on identical images";
     (!rows.is_empty()).then(|| Table { title: title.to_owned(), header: header.collect(), names: 2, rows })
-}
-
-pub(super) fn named_columns(names: &[&str]) -> impl Iterator<Item = String> {
-    names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>().into_iter()
-}
-
-pub(super) fn unit_columns(prefix: &str) -> impl Iterator<Item = String> {
-    let named = Conventions::COMPONENTS.iter().zip(Conventions::UNITS);
-    named.map(move |(name, unit)| format!("{prefix}{name} [{unit}]")).collect::<Vec<_>>().into_iter()
-}
-
-pub(super) fn cell(value: Option<f64>, show: impl Fn(f64) -> String) -> Cell {
-    Cell { text: value.map_or(String::new(), show), value, best: false }
-}
-
-fn with_interval(text: String, interval: Option<[f64; 2]>, show: impl Fn(f64) -> String) -> String {
-    interval.map_or(text.clone(), |[low, high]| format!("{text} [{}, {}]", show(low), show(high)))
-}
-
-fn interval_cell(value: Option<f64>, interval: Option<[f64; 2]>, shown: Intervals, show: fn(f64) -> String) -> Cell {
-    let mut cell = cell(value, show);
-    if shown == Intervals::Shown && value.is_some() {
-        cell.text = with_interval(cell.text, interval, show);
-    }
-    cell
-}
-
-pub(super) fn mde_cell(metrics: &Metrics, c: usize, shown: Intervals) -> Cell {
-    interval_cell(
-        Some(metrics.mde[c]),
-        metrics.mde_interval.map(|bounds| bounds.map(|bound| bound[c])),
-        shown,
-        three_digits,
-    )
-}
-
-/// Without the sign of a zero.
-fn three_decimals(value: f64) -> String {
-    let text = format!("{value:.3}");
-    if text == "-0.000" { "0.000".to_owned() } else { text }
-}
-
-/// A logarithm: its decimals are its significant digits.
-pub(super) fn nll_cell(metrics: &Metrics, shown: Intervals) -> Cell {
-    interval_cell(metrics.nll, metrics.nll_interval, shown, three_decimals)
-}
-
-pub(super) fn anees_cell(metrics: &Metrics, shown: Intervals) -> Cell {
-    interval_cell(metrics.anees, metrics.anees_interval, shown, three_decimals)
 }
 
 #[cfg(test)]

@@ -1,8 +1,10 @@
 //! The table that answers what is asked first of a covariance: is it better than a number typed in, is it honest, does
 //! it see *this* error?
 
+use super::cells::{Intervals, anees_cell, cell, nll_cell};
+use super::columns::named_columns;
 use super::comparison::Comparison;
-use super::scores::{Intervals, anees_cell, cell, method_table, named_columns, nll_cell};
+use super::method_table::method_table;
 use super::table::{Better, Cell, Table};
 use crate::evaluation::{Method, Metrics};
 use crate::geometry::{ROTATION, TRANSLATION};

@@ -1,8 +1,10 @@
 //! The form of the paper's Table II: systems and scores below one another, methods side by side.
 
+use super::cells::{Intervals, anees_cell, mde_cell, nll_cell};
+use super::columns::{named_columns, unit_columns};
 use super::comparison::{Comparison, Judged};
+use super::method_table::competes;
 use super::notes::preface;
-use super::scores::{Intervals, anees_cell, competes, mde_cell, named_columns, nll_cell, unit_columns};
 use super::table::{Better, Cell, Table, mark};
 use crate::evaluation::Metrics;
 

@@ -8,6 +8,7 @@
 //! Knows nothing of networks and training.
 
 mod folder;
+mod least_squares;
 mod motion;
 mod odometry;
 mod packets;
@@ -18,6 +19,7 @@ mod road;
 mod scene;
 mod sensors;
 mod settings;
+mod shading;
 mod street;
 mod surface;
 mod systems;

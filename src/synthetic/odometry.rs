@@ -2,13 +2,13 @@
 
 use nalgebra::{RowVector6, Vector3, Vector6};
 
+use super::least_squares::{inverse, prior_information};
 use super::random::{Purpose, Random};
 use super::rig::{Rig, baseline_m};
 use super::sensors::View;
 use super::settings::SyntheticSettings;
+use super::shading::shade;
 use super::street::is_moving;
-use super::surface::shade;
-use super::systems::{inverse, prior_information};
 use super::world::Moment;
 use crate::geometry::{Covariance6, Pinhole, Pose, hat};
 

@@ -1,4 +1,4 @@
-//! The road's centreline: straight stretches and bends, one after another, never meeting itself.
+//! The road: its width, and its centreline of straight stretches and bends, one after another, never meeting itself.
 
 use std::collections::VecDeque;
 
@@ -6,6 +6,8 @@ use nalgebra::Vector2;
 
 use super::random::{Purpose, Random};
 
+/// Half the width of the carriageway, m.
+pub(super) const ROAD_HALF_M: f64 = 3.6;
 /// The road never turns farther than this from east, rad: its x grows everywhere, so it cannot meet itself.
 const MAX_HEADING_RAD: f64 = 1.35;
 

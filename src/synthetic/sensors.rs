@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use super::random::{Purpose, Random, mix};
 use super::scene::{Hit, Ray, Scene};
-use super::surface::{Colour, Light, PixelCone, albedo, shade};
+use super::shading::{Colour, Light, PixelCone, albedo, shade};
 use crate::depth::DepthMap;
 use crate::geometry::{Pinhole, Pose};
 

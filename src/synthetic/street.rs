@@ -4,9 +4,9 @@ use nalgebra::{Vector2, Vector3};
 
 use super::motion::{CarState, LANE_M};
 use super::random::{Purpose, Random, mix, smooth, uniform_of};
-use super::road::{Road, RoadPoint, Segment};
+use super::road::{ROAD_HALF_M, Road, RoadPoint, Segment};
 use super::scene::{RANGE_M, Scene, Shape, Thing};
-use super::surface::{ROAD_HALF_M, Surface, richness_at};
+use super::surface::{Surface, richness_at};
 
 /// Length of a block, m.
 const BLOCK_M: f64 = 16.0;

@@ -3,8 +3,9 @@
 //! Each covariance follows from what the system sees in that frame; the error is drawn from it, so it
 //! is the true one: `e = L g` with `Σ = L Lᵀ` and `g` standard normal, `T̂ = exp(e) T` (paper Eq. 2).
 
-use nalgebra::{Matrix6, RowVector6, Vector3, Vector6};
+use nalgebra::{RowVector6, Vector3, Vector6};
 
+use super::least_squares::{inverse, prior_information};
 use super::odometry::stereo_odometry_covariance;
 use super::random::{Purpose, Random};
 use super::rig::Rig;
@@ -17,9 +18,6 @@ use crate::systems::RelativePose;
 
 /// Names of the simulated systems; `measurements/NAME/DRIVE.csv` holds their measurements.
 pub const SYSTEMS: [&str; 4] = ["vo", "wheel", "icp", "coarse_gnss"];
-
-/// What a smooth motion would be taken for without any landmark or point, m and rad.
-const MOTION_PRIOR: [f64; 6] = [0.25, 0.25, 0.25, 0.02, 0.02, 0.02];
 
 /// Directions of the points that ICP aligns, of a turn and from top to bottom, and their noise.
 const ICP_AZIMUTHS: usize = 72;
@@ -107,16 +105,6 @@ fn distance_to_plane(point: &Vector3<f64>, normal: &Vector3<f64>) -> RowVector6<
 /// A cheap receiver and compass, vehicle axes: white noise that knows nothing of the scene.
 fn coarse_gnss_covariance() -> Covariance6 {
     Covariance6::from_std_devs(&Vector6::new(0.08, 0.08, 0.12, 0.004, 0.004, 0.006))
-}
-
-pub(super) fn prior_information() -> Matrix6<f64> {
-    Matrix6::from_diagonal(&Vector6::from(MOTION_PRIOR).map(|std_dev| 1.0 / (std_dev * std_dev)))
-}
-
-/// The inverse of a symmetric positive definite matrix, symmetric to the last bit.
-pub(super) fn inverse(matrix: &Matrix6<f64>) -> Matrix6<f64> {
-    let inverse = matrix.cholesky().expect("a prior keeps it positive definite").inverse();
-    0.5 * (inverse + inverse.transpose())
 }
 
 #[cfg(test)]

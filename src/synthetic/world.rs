@@ -7,8 +7,8 @@ use super::random::{Purpose, Random, smooth};
 use super::road::Road;
 use super::scene::Scene;
 use super::settings::SyntheticSettings;
+use super::shading::Light;
 use super::street::{MovingCar, Street};
-use super::surface::Light;
 use crate::geometry::Pose;
 
 /// Moments of an exposure that are averaged into motion blur, in shutter times from its middle; the

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use sysinfo::{Disks, System};
 
-use super::Finding;
+use super::finding::Finding;
 
 /// What the first command takes at its peak, with room to spare.
 const ENOUGH_MEMORY_BYTES: u64 = 2 << 30;

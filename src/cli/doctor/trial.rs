@@ -8,8 +8,8 @@ use anyhow::Context;
 use burn::tensor::Device;
 use nalgebra::Vector6;
 
-use super::{Finding, Say};
-use crate::cli::INTERRUPTED;
+use super::finding::{Finding, Say};
+use crate::cli::exit_codes::INTERRUPTED;
 use crate::config::Config;
 use crate::device::device_name;
 use crate::error::{Error, Result};

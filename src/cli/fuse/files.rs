@@ -5,10 +5,11 @@ use std::path::Path;
 
 use anyhow::Context;
 
-use super::{FuseArguments, reached, reached_frames};
+use super::arguments::FuseArguments;
+use super::reach::{reached, reached_frames};
 use crate::cli::output::make_folder;
 use crate::cli::progress::note;
-use crate::cli::{Terminal, print_result};
+use crate::cli::terminal::{Terminal, print_result};
 use crate::error::{Error, Result};
 use crate::export::fused_trajectory;
 use crate::files::{read_text, require_apart, require_slots, write_atomically};

@@ -5,10 +5,10 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 
-use super::FuseArguments;
-use crate::cli::Terminal;
+use super::arguments::FuseArguments;
 use crate::cli::eval::{Recalibrate, baselines_of, fit_baselines, predict_table};
 use crate::cli::progress::note;
+use crate::cli::terminal::Terminal;
 use crate::config::Config;
 use crate::error::{Error, Result};
 use crate::evaluation::{Baselines, Method, PairTable, SystemPairs};

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::{BodyArgument, MeasurementFormat, PoseNumbers, PredictArguments};
+use super::arguments::{BodyArgument, MeasurementFormat, PoseNumbers, PredictArguments};
 use crate::config::Config;
 use crate::depth::DepthConfig;
 use crate::error::{Error, Place, Result};

@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::PredictArguments;
+use super::arguments::PredictArguments;
 use crate::cli::output::make_folder;
 use crate::cli::progress::note;
-use crate::cli::{Terminal, print_result};
+use crate::cli::terminal::{Terminal, print_result};
 use crate::error::Error;
 use crate::export::{Format, MeasuredMotions};
 use crate::files::{fill_template, require_apart, require_no_folder, require_slots, write_atomically};

@@ -4,8 +4,8 @@ use std::io::{self, BufRead, Write};
 
 use anyhow::Context;
 
-use super::PredictArguments;
-use crate::cli::FrameArgument;
+use super::arguments::PredictArguments;
+use crate::cli::choices::FrameArgument;
 use crate::config::Config;
 use crate::error::Error;
 use crate::export::Format;

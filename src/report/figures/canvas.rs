@@ -5,8 +5,10 @@ use plotters::coord::Shift;
 use plotters::coord::ranged1d::{DefaultFormatting, KeyPointHint, ValueFormatter};
 use plotters::prelude::*;
 
-use super::Drawing;
 use crate::geometry::Conventions;
+
+/// What drawing may run into.
+pub type Drawing<T> = std::result::Result<T, Box<dyn std::error::Error>>;
 
 pub(super) type Sheet<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 

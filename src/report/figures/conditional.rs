@@ -2,8 +2,8 @@
 
 use plotters::prelude::*;
 
-use super::canvas::{GREY, component_label, draw_axes, draw_line, log_axis, sheet, style};
-use super::{Drawing, is_drawn};
+use super::canvas::{Drawing, GREY, component_label, draw_axes, draw_line, log_axis, sheet, style};
+use super::series::is_drawn;
 use crate::evaluation::{BinnedCalibration, ConditionalCalibration};
 use crate::report::Comparison;
 

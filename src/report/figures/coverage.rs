@@ -2,8 +2,8 @@
 
 use plotters::prelude::*;
 
-use super::canvas::{FONT, draw_axes, sheet, style};
-use super::{Drawing, is_drawn};
+use super::canvas::{Drawing, FONT, draw_axes, sheet, style};
+use super::series::is_drawn;
 use crate::geometry::Conventions;
 use crate::report::Comparison;
 

@@ -2,8 +2,8 @@
 
 use plotters::prelude::*;
 
-use super::canvas::{FONT, component_label, draw_axes, log_axis, sheet, style};
-use super::{Drawing, is_drawn, series};
+use super::canvas::{Drawing, FONT, component_label, draw_axes, log_axis, sheet, style};
+use super::series::{is_drawn, series};
 use crate::evaluation::quantile;
 use crate::report::Comparison;
 

@@ -9,24 +9,21 @@ mod nees;
 mod raster;
 mod reliability;
 mod sequence;
+mod series;
 mod sparsification;
 mod speed;
 mod trajectory;
 
 use std::path::Path;
 
-use super::comparison::{Comparison, Judged};
+use super::comparison::Comparison;
 use crate::error::{Error, Result};
-use crate::evaluation::{Method, SystemPairs};
 use crate::files::{read_text, write_atomically};
-use crate::geometry::Covariance6;
 use crate::training::LOSSES;
 
+pub use canvas::Drawing;
 pub use raster::to_png;
 pub use trajectory::{DrawnTrajectory, FusedDrive, draw_fusion};
-
-/// What drawing may run into.
-pub type Drawing<T> = std::result::Result<T, Box<dyn std::error::Error>>;
 
 /// A picture with its place in a report.
 #[derive(Clone, Debug, PartialEq)]
@@ -37,46 +34,6 @@ pub struct Figure {
     pub caption: String,
     /// The picture.
     pub svg: String,
-}
-
-/// A method's numbers for one system, ready to draw.
-struct Series<'a> {
-    /// Name in legends.
-    label: String,
-    method: Method,
-    pairs: &'a SystemPairs,
-    covariances: Vec<Covariance6>,
-    /// What they should cover, m and rad.
-    errors: Vec<[f64; 6]>,
-}
-
-impl Series<'_> {
-    fn sigma(&self, component: usize) -> Vec<f64> {
-        self.covariances.iter().map(|covariance| covariance.matrix()[(component, component)].sqrt()).collect()
-    }
-
-    fn errors(&self, component: usize) -> Vec<f64> {
-        self.errors.iter().map(|error| error[component]).collect()
-    }
-}
-
-/// The methods of a system that a condition keeps.
-fn series<'a>(comparison: &'a Comparison, system: &str, keep: impl Fn(&Judged) -> bool) -> Vec<Series<'a>> {
-    let methods = comparison.methods(system).into_iter().filter(|(_, judged)| keep(judged));
-    methods
-        .map(|(label, judged)| Series {
-            label,
-            method: judged.method,
-            pairs: judged.pairs(system),
-            covariances: judged.covariances(system),
-            errors: judged.errors(system),
-        })
-        .collect()
-}
-
-/// Predictions, and the baselines worth comparing them with.
-fn is_drawn(judged: &Judged) -> bool {
-    !matches!(judged.method, Method::Zero | Method::ConstantMad | Method::Uncalibrated | Method::Oracle)
 }
 
 /// Name, caption and drawing of a figure that each system has.

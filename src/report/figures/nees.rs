@@ -2,8 +2,8 @@
 
 use plotters::prelude::*;
 
-use super::canvas::{ERROR, FONT, GREY, draw_axes, draw_line, full_line, log_axis, sheet, style};
-use super::{Drawing, series};
+use super::canvas::{Drawing, ERROR, FONT, GREY, draw_axes, draw_line, full_line, log_axis, sheet, style};
+use super::series::series;
 use crate::evaluation::Method;
 use crate::report::Comparison;
 

@@ -2,8 +2,8 @@
 
 use plotters::prelude::*;
 
-use super::canvas::{GREY, component_label, draw_axes, draw_line, log_axis, sheet, style};
-use super::{Drawing, is_drawn, series};
+use super::canvas::{Drawing, GREY, component_label, draw_axes, draw_line, log_axis, sheet, style};
+use super::series::{is_drawn, series};
 use crate::evaluation::{CalibrationBin, calibration_bins};
 use crate::report::Comparison;
 

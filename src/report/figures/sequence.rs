@@ -2,8 +2,8 @@
 
 use plotters::prelude::*;
 
-use super::canvas::{ERROR, FONT, GREY, component_label, draw_axes, draw_line, full_line, sheet, style, thin};
-use super::{Drawing, Series, series};
+use super::canvas::{Drawing, ERROR, FONT, GREY, component_label, draw_axes, draw_line, full_line, sheet, style, thin};
+use super::series::{Series, series};
 use crate::evaluation::Method;
 use crate::report::Comparison;
 

@@ -2,8 +2,8 @@
 
 use plotters::prelude::*;
 
-use super::canvas::{draw_axes, draw_line, sheet, style};
-use super::{Drawing, is_drawn, series};
+use super::canvas::{Drawing, draw_axes, draw_line, sheet, style};
+use super::series::{is_drawn, series};
 use crate::evaluation::sparsification_curve;
 use crate::geometry::Conventions;
 use crate::report::Comparison;

@@ -2,8 +2,8 @@
 
 use plotters::prelude::*;
 
-use super::canvas::{component_label, draw_axes, draw_line, log_axis, sheet, style};
-use super::{Drawing, Series, series};
+use super::canvas::{Drawing, component_label, draw_axes, draw_line, log_axis, sheet, style};
+use super::series::{Series, series};
 use crate::evaluation::Method;
 use crate::report::Comparison;
 

@@ -3,8 +3,7 @@
 use nalgebra::Vector3;
 use plotters::prelude::*;
 
-use super::Drawing;
-use super::canvas::{ERROR, FONT, GREY, Style, draw_axes, draw_line, full_line, sheet, style, thin};
+use super::canvas::{Drawing, ERROR, FONT, GREY, Style, draw_axes, draw_line, full_line, sheet, style, thin};
 use crate::recordings::Trajectory;
 
 /// One drive's trajectories.
