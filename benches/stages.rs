@@ -1,4 +1,4 @@
-//! Time of each stage: render, decode and resize, warp, prediction, loading, training step, and the whole
+//! Time of each stage: render, decode and resize, undistort, warp, prediction, loading, training step, and the whole
 //! training loop beside its bare step. `cargo bench`; sizes below are those of configs/kitti_sample.toml.
 
 mod rendered;
@@ -16,11 +16,11 @@ use rayon::prelude::*;
 use relcov::alignment::align;
 use relcov::config::Config;
 use relcov::depth::ground_plane_depth;
-use relcov::geometry::{Pinhole, Pose, Tangent};
+use relcov::geometry::{Lens, Pinhole, Pose, Tangent};
 use relcov::kernels::Adam;
 use relcov::model::{Architecture, CovarianceModel, InputBasis, MicroBatch};
 use relcov::pairs::{Dataset, PairBatch, PairReader, PairSample, PairScope, SplitName};
-use relcov::recordings::{RgbImage, read_image};
+use relcov::recordings::{RgbImage, Undistortion, read_image};
 use relcov::synthetic::{Replace, SyntheticSettings, record};
 use relcov::training::{Event, Learner};
 use relcov::warp::Warp;
@@ -231,6 +231,30 @@ fn decode(criterion: &mut Criterion) {
     }
 }
 
+/// An image of EuRoC's cam0, and a depth map of its size, by the table that a recording has.
+fn undistort(criterion: &mut Criterion) {
+    let camera = Pinhole { fx: 458.654, fy: 457.296, cx: 367.215, cy: 248.375, width: 752, height: 480 };
+    let lens = Lens { camera, distortion: [-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05, 0.0] };
+    let rectified = lens.rectified().expect("a real lens");
+    let undistortion = Undistortion::new(&lens, rectified);
+    let bytes = (0..3 * 752 * 480_usize).map(|k| (k * 2_654_435_761) as u8).collect();
+    let image = RgbImage { width: 752, height: 480, bytes };
+    let depth = vec![2.5; 752 * 480];
+    let mut group = criterion.benchmark_group("undistort");
+    group.bench_function(BenchmarkId::new("image", "752x480"), |bencher| {
+        bencher.iter(|| black_box(undistortion.image(&image)));
+    });
+    group.bench_function(BenchmarkId::new("depth", "752x480"), |bencher| {
+        bencher.iter(|| black_box(undistortion.depth(&depth)));
+    });
+    group.bench_function(BenchmarkId::new("rectified camera", "752x480"), |bencher| {
+        bencher.iter(|| black_box(lens.rectified()));
+    });
+    group.bench_function(BenchmarkId::new("table", "752x480"), |bencher| {
+        bencher.iter(|| black_box(Undistortion::new(&lens, rectified)));
+    });
+}
+
 /// The whole loop on the real sample, beside the bare step on one fixed micro-batch: how well loading
 /// keeps the network fed. Skipped, and said so, when the sample is not there.
 fn training_loop(criterion: &mut Criterion) {
@@ -315,5 +339,5 @@ fn render(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(stages, render, decode, warp, alignment, forward, load, training_step, training_loop);
+criterion_group!(stages, render, decode, undistort, warp, alignment, forward, load, training_step, training_loop);
 criterion_main!(stages);

@@ -1,4 +1,4 @@
-//! Rigid motions, their errors and covariances, and the pinhole camera; f64 on the CPU, no tensors.
+//! Rigid motions, their errors and covariances, the pinhole camera and its lens; f64 on the CPU, no tensors.
 //!
 //! Every other room takes its conventions from here; they are stored in each checkpoint and result
 //! ([`Conventions`]) and checked when one is loaded.
@@ -15,6 +15,7 @@
 mod camera;
 mod covariance;
 mod frame;
+mod lens;
 mod posterior;
 mod se3;
 
@@ -22,5 +23,6 @@ pub(crate) use camera::OWN_INTRINSICS;
 pub use camera::Pinhole;
 pub use covariance::{Covariance6, CovarianceError};
 pub use frame::{Conventions, ErrorFrame};
+pub use lens::Lens;
 pub use posterior::Posterior;
 pub use se3::{Pose, ROTATION, TRANSLATION, Tangent, hat};
