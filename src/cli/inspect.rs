@@ -210,7 +210,10 @@ fn problems(dataset: &Dataset) -> Vec<String> {
                 .map(|path| format!("{drive}: no measurements of `{system}`: {} does not exist", path.display()))
         })
     });
-    let unreadable = dataset.drives.iter().flat_map(|drive| drive.problems.iter().chain(&drive.time_problems).cloned());
+    let unreadable = dataset
+        .drives
+        .iter()
+        .flat_map(|drive| drive.problems.iter().chain(&drive.time_problems).chain(&drive.remarks).cloned());
     let name = |coverage: &Coverage| dataset.drives[coverage.drive].name.clone();
     let empty = dataset.coverage.iter().filter_map(|coverage| {
         let Coverage { pose_pairs, image_pairs, depth_pairs, .. } = *coverage;

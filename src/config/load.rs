@@ -11,7 +11,7 @@ use crate::files::{read_text, sha256_hex};
 use crate::pairs::{DataConfig, default_cache_mb, default_max_bad_fraction};
 use crate::recordings::DATA_ROOT_VARIABLE;
 use crate::schedule::{DepthTrainingConfig, TrainingConfig};
-use crate::systems::{SystemConfig, SystemSource};
+use crate::systems::{SystemConfig, SystemSource, TruthConfig};
 
 impl Config {
     /// Reads a configuration file and applies `key=value` overrides.
@@ -110,7 +110,10 @@ impl Config {
             network.weights = network.weights.file_name().unwrap_or_default().into();
             network.cache = PathBuf::new();
         }
+        // The same in the one layout that both can be asked for in, under the name it had first.
+        let truth = if self.truth == (TruthConfig::Recording {}) { TruthConfig::Oxts {} } else { self.truth.clone() };
         let experiment = Self {
+            truth,
             name: String::new(),
             checkpoints: default_checkpoints(),
             device: default_device(),

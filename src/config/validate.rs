@@ -12,9 +12,13 @@ use crate::files::{DEPTH_SLOTS, MEASUREMENT_SLOTS, is_plain, require_slots};
 use crate::model::{ImagePair, MinLogVariance, ModelConfig, PoseInput};
 use crate::network::{Head, ImageNetwork};
 use crate::pairs::{DataConfig, DriveConfig};
+use crate::recordings::{CameraConfig, Layout};
 use crate::schedule::DepthTrainingConfig;
 use crate::synthetic::{SyntheticSettings, drive_name};
 use crate::systems::{PerturbationConfig, SystemSource, TruthConfig};
+
+/// Frames of a pair are not farther apart.
+const LARGEST_GAP: usize = 10_000;
 
 /// Least smaller side of images that are aligned, px; the larger one is twice that.
 const LEAST_ALIGNED: usize = 16;
@@ -46,6 +50,15 @@ impl Config {
             synthetic.validate("data.synthetic.")?;
             self.validate_synthetic_drives(synthetic)?;
         }
+        let gaps = &self.data.gap;
+        let usable = gaps.iter().all(|gap| (1..=LARGEST_GAP).contains(gap));
+        require(usable, "data.gap", || format!("{gaps:?}: a pair's frames are 1 to {LARGEST_GAP} frames apart"))?;
+        let twice = gaps.iter().enumerate().any(|(index, gap)| gaps[..index].contains(gap));
+        require(!twice, "data.gap", || format!("{gaps:?} names a number twice"))?;
+        let cameras = [("data.camera".to_owned(), &self.data.camera)].into_iter().chain(self.cameras_of_drives());
+        for (key, camera) in cameras {
+            camera.as_ref().map_or(Ok(()), |camera| camera.validate(&key))?;
+        }
         let fraction = self.data.validation_fraction;
         require((0.0..1.0).contains(&fraction), "data.validation_fraction", || format!("{fraction} is not in [0, 1)"))?;
         let cache_mb = self.data.cache_mb;
@@ -66,9 +79,18 @@ impl Config {
         Ok(())
     }
 
+    /// The cameras that stand beside drives, and their keys.
+    fn cameras_of_drives(&self) -> impl Iterator<Item = (String, &Option<CameraConfig>)> {
+        let DataConfig { train, validation, test, .. } = &self.data;
+        [("train", train), ("validation", validation), ("test", test)].into_iter().flat_map(|(split, drives)| {
+            let key = move |index| format!("data.{split}.{index}.camera");
+            drives.iter().enumerate().map(move |(index, drive)| (key(index), &drive.camera))
+        })
+    }
+
     /// Where the data are: below a folder, or listed in a file.
     fn validate_place(&self) -> Result<()> {
-        let DataConfig { root, manifest, camera_from_vehicle, synthetic, .. } = &self.data;
+        let DataConfig { root, manifest, layout, camera, camera_from_vehicle, synthetic, .. } = &self.data;
         let listed = manifest.is_some();
         require(listed || !root.as_os_str().is_empty(), "data.root", || {
             "names no folder; give data.root, or a pairs manifest as data.manifest".to_owned()
@@ -76,15 +98,18 @@ impl Config {
         require(!(listed && synthetic.is_some()), "data.manifest", || {
             "a manifest and data.synthetic exclude one another".to_owned()
         })?;
+        require(!(listed && layout.is_some_and(|layout| layout != Layout::Manifest)), "data.layout", || {
+            "is of recordings below data.root; data.manifest names a manifest, leave one of them out".to_owned()
+        })?;
+        require(!(listed && camera.is_some()), "data.camera", || {
+            "a manifest has its own intrinsics in the columns fx, fy, cx, cy; leave one of them out".to_owned()
+        })?;
         require(!(listed && self.model.stereo), "model.stereo", || {
             "a pairs manifest has no right images; set model.stereo = false".to_owned()
         })?;
         let Some([_, _, _, quaternion @ ..]) = camera_from_vehicle else { return Ok(()) };
         let norm = quaternion.iter().map(|value| value * value).sum::<f64>().sqrt();
         let finite = camera_from_vehicle.iter().flatten().all(|value| value.is_finite());
-        require(listed, "data.camera_from_vehicle", || {
-            "is for a pairs manifest; drives in the KITTI layout have calibration files".to_owned()
-        })?;
         require(finite && (norm - 1.0).abs() < 1e-2, "data.camera_from_vehicle", || {
             format!("x y z qx qy qz qw with a quaternion of length {norm:.4}; expected 1")
         })
@@ -219,7 +244,7 @@ impl Config {
                 let row = horizon_px.unwrap_or(0.0);
                 require(row.is_finite(), "depth.horizon_px", || format!("{row} is no image row"))
             }
-            DepthConfig::Lidar { .. } | DepthConfig::Files { .. } => Ok(()),
+            DepthConfig::Lidar { .. } | DepthConfig::Files { .. } | DepthConfig::Recording {} => Ok(()),
             DepthConfig::Manifest {} => require(self.data.manifest.is_some(), "depth.source", || {
                 "`manifest` needs data.manifest, the file that lists the depth maps".to_owned()
             }),

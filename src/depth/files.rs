@@ -9,10 +9,10 @@ use super::DepthMap;
 use super::map::EXPECTED_ASPECT;
 use crate::error::{Error, Place, Result};
 use crate::files::{read_bytes, write_atomically};
-use crate::recordings::{Recording, decode};
+use crate::recordings::{KITTI_STEPS_PER_METRE, Recording, decode};
 
 /// Steps of a metre in a depth PNG.
-const STEPS_PER_METRE: f32 = 256.0;
+const STEPS_PER_METRE: f32 = KITTI_STEPS_PER_METRE;
 /// The farthest depth that the format holds, m.
 pub(super) const FARTHEST_M: f32 = u16::MAX as f32 / STEPS_PER_METRE;
 /// What every whole PNG ends with.
@@ -36,12 +36,12 @@ pub fn read_depth_png(path: &Path) -> Result<DepthMap> {
     decode_depth_png(&read_bytes(path)?, path)
 }
 
-/// Reads the depth PNG of an image of this size.
+/// Reads the depth PNG of an image of this size, with so many steps to a metre.
 ///
 /// # Errors
 /// As [`read_depth_png`]; or the map has another aspect.
-pub(super) fn read_depth_of(path: &Path, image_size: [usize; 2]) -> Result<DepthMap> {
-    let map = read_depth_png(path)?;
+pub(super) fn read_depth_of(path: &Path, image_size: [usize; 2], steps_per_metre: f32) -> Result<DepthMap> {
+    let map = decode_steps(&read_bytes(path)?, path, steps_per_metre)?;
     let fits = map.require_aspect(image_size);
     fits.map_err(|found| Error::malformed(path, Place::Whole, found, EXPECTED_ASPECT))?;
     Ok(map)
@@ -52,12 +52,16 @@ pub(super) fn read_depth_of(path: &Path, image_size: [usize; 2]) -> Result<Depth
 /// # Errors
 /// It cannot be decoded, or is not 16-bit grey.
 pub fn decode_depth_png(bytes: &[u8], path: &Path) -> Result<DepthMap> {
-    let expected = "a 16-bit grey PNG, metres x 256";
+    decode_steps(bytes, path, STEPS_PER_METRE)
+}
+
+fn decode_steps(bytes: &[u8], path: &Path, steps_per_metre: f32) -> Result<DepthMap> {
+    let expected = &format!("a 16-bit grey PNG, metres x {steps_per_metre}");
     let image = decode(bytes, path, expected)?;
     let DynamicImage::ImageLuma16(image) = image else {
-        return Err(Error::malformed(path, Place::Whole, format!("{:?} pixels", image.color()), expected));
+        return Err(Error::malformed(path, Place::Whole, format!("{:?} pixels", image.color()), expected.as_str()));
     };
-    let depth_m = image.pixels().map(|pixel| f32::from(pixel.0[0]) / STEPS_PER_METRE).collect();
+    let depth_m = image.pixels().map(|pixel| f32::from(pixel.0[0]) / steps_per_metre).collect();
     Ok(DepthMap { width: image.width() as usize, height: image.height() as usize, depth_m })
 }
 

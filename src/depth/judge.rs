@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::{DepthMap, DepthScores, ScaleRule, files, fill_gaps, native_depth, project_scan, read_scan};
 use crate::depth::{DepthConfig, FrameId};
 use crate::error::Result;
-use crate::recordings::Recording;
+use crate::recordings::{KITTI_STEPS_PER_METRE, Recording};
 
 /// Frames that are read at once.
 const BATCH: usize = 16;
@@ -121,7 +121,11 @@ impl<'a> DepthJudge<'a> {
     fn true_depth(&self, drive: &Recording, frame: usize) -> Result<Option<DepthMap>> {
         if let Some(template) = self.truth {
             let path = files::depth_path(template, drive, frame, &self.root);
-            return if path.is_file() { files::read_depth_of(&path, drive.image_size()).map(Some) } else { Ok(None) };
+            return if path.is_file() {
+                files::read_depth_of(&path, drive.image_size(), KITTI_STEPS_PER_METRE).map(Some)
+            } else {
+                Ok(None)
+            };
         }
         let Some(scan) = drive.scans.get(&frame) else { return Ok(None) };
         let calibration = &drive.calibration;

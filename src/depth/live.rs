@@ -62,6 +62,7 @@ impl LiveDepth {
             },
             DepthConfig::Lidar { .. } => missing("lidar"),
             DepthConfig::Files { .. } => missing("files"),
+            DepthConfig::Recording {} => missing("recording"),
             DepthConfig::Manifest {} => missing("manifest"),
         };
         Self { source }

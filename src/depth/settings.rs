@@ -33,6 +33,8 @@ pub enum DepthConfig {
         /// Path below `data.root`, with `{date}`, `{drive}` and `{frame}` (ten digits).
         path: String,
     },
+    /// The recording's own maps: TUM RGB-D's `depth.txt`, the column `depth` of a manifest.
+    Recording {},
     /// The column `depth` of the pairs manifest: 16-bit PNG files, metres x 256, 0 = unknown.
     Manifest {},
     /// A depth network; `relcov depth` keeps its maps.

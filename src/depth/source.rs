@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use super::{DepthCache, DepthMap, files, fill_gaps, ground_plane_depth, project_scan, read_scan};
 use crate::depth::DepthConfig;
-use crate::error::{Error, Result};
+use crate::error::{Error, Place, Result};
 use crate::geometry::Pinhole;
-use crate::recordings::{Recording, RgbImage};
+use crate::recordings::{KITTI_STEPS_PER_METRE, Recording, RgbImage};
 
 /// Whether the configured source has depth for a frame.
 pub fn has_depth(config: &DepthConfig, drive: &Recording, frame: usize, root: &Path) -> bool {
@@ -14,7 +14,9 @@ pub fn has_depth(config: &DepthConfig, drive: &Recording, frame: usize, root: &P
         DepthConfig::GroundPlane { .. } => true,
         DepthConfig::Lidar { .. } => drive.scans.contains_key(&frame),
         DepthConfig::Files { path } => files::depth_path(path, drive, frame, root).is_file(),
-        DepthConfig::Manifest {} => listed_depth(drive, frame).is_some_and(|path| path.is_file()),
+        DepthConfig::Recording {} | DepthConfig::Manifest {} => {
+            drive.depth.get(&frame).is_some_and(|path| path.is_file())
+        }
         DepthConfig::Monodepth2(config) => DepthCache::of(config).map_path(drive, frame).is_file(),
     }
 }
@@ -23,7 +25,7 @@ pub fn has_depth(config: &DepthConfig, drive: &Recording, frame: usize, root: &P
 pub(crate) fn depth_file(config: &DepthConfig, drive: &Recording, frame: usize, root: &Path) -> Option<PathBuf> {
     match config {
         DepthConfig::Files { path } => Some(files::depth_path(path, drive, frame, root)),
-        DepthConfig::Manifest {} => listed_depth(drive, frame).cloned(),
+        DepthConfig::Recording {} | DepthConfig::Manifest {} => drive.depth.get(&frame).cloned(),
         DepthConfig::GroundPlane { .. } | DepthConfig::Lidar { .. } | DepthConfig::Monodepth2(_) => None,
     }
 }
@@ -48,10 +50,6 @@ pub fn load_depth(
         )));
     }
     Ok(depth)
-}
-
-fn listed_depth(drive: &Recording, frame: usize) -> Option<&PathBuf> {
-    drive.depth.get(&frame)
 }
 
 /// The same at the size that the source has: that of its files, else the camera's.
@@ -81,18 +79,33 @@ pub fn native_depth(
             let sparse = project_scan(&read_scan(path)?, &drive.calibration.camera_from_velodyne, camera);
             Ok(fill_gaps(&sparse, image, *fill_radius_px))
         }
-        DepthConfig::Files { path } => {
-            files::read_depth_of(&files::depth_path(path, drive, frame, root), drive.image_size())
-        }
-        DepthConfig::Manifest {} => {
-            let path = listed_depth(drive, frame).ok_or_else(|| {
+        DepthConfig::Files { path } => files::read_depth_of(
+            &files::depth_path(path, drive, frame, root),
+            drive.image_size(),
+            KITTI_STEPS_PER_METRE,
+        ),
+        DepthConfig::Recording {} | DepthConfig::Manifest {} => {
+            let path = drive.depth.get(&frame).ok_or_else(|| {
                 Error::Data(format!(
-                    "{}, frame {frame}: the manifest lists no depth; choose another depth.source",
+                    "{}, frame {frame}: the recording has no depth map of it; choose another depth.source",
                     drive.name
                 ))
             })?;
-            files::read_depth_of(path, drive.image_size())
+            let map = files::read_depth_of(path, drive.image_size(), drive.depth_steps_per_metre)?;
+            undistorted(map, drive, path)
         }
         DepthConfig::Monodepth2(config) => DepthCache::of(config).load(drive, frame),
     }
+}
+
+/// A recording's own map as its undistorted camera sees it.
+fn undistorted(map: DepthMap, drive: &Recording, path: &Path) -> Result<DepthMap> {
+    let Some(lens) = &drive.lens else { return Ok(map) };
+    let [width, height] = drive.image_size();
+    if [map.width, map.height] != [width, height] {
+        let found = format!("{}x{} pixels", map.width, map.height);
+        let expected = format!("{width}x{height} as its image, whose distortion it shares");
+        return Err(Error::malformed(path, Place::Whole, found, expected));
+    }
+    Ok(DepthMap { depth_m: lens.depth(&map.depth_m), ..map })
 }

@@ -177,7 +177,9 @@ impl Dataset {
 fn is_simulated(config: &PairSettings, system: &SystemConfig) -> bool {
     let SystemSource::Relative(RelativeConfig { path, .. }) = &system.source else { return false };
     let rendered = SYSTEMS.iter().any(|name| *path == Path::new(&format!("measurements/{name}/{{drive}}.csv")));
-    rendered && *config.truth == TruthConfig::Oxts {} && is_synthetic(&config.data.root)
+    rendered
+        && matches!(config.truth, TruthConfig::Oxts {} | TruthConfig::Recording {})
+        && is_synthetic(&config.data.root)
 }
 
 /// Gives the last part of each drive to the second set; the pair before it, which shares an image with

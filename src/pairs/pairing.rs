@@ -12,7 +12,9 @@ use super::split::SplitName;
 use crate::depth::{depth_file, has_depth};
 use crate::error::{Error, Result};
 use crate::geometry::{Pose, Tangent};
-use crate::recordings::{Manifest, MeasurementFrame, Recording, camera_axes_from_vehicle, load_kitti_raw};
+use crate::recordings::{
+    CameraConfig, Manifest, MeasurementFrame, Opening, Recording, camera_axes_from_vehicle, open_recording,
+};
 use crate::systems::{Measurements, Truth, load_measurements};
 
 /// Joins drive after drive; each is read once, however many splits name it.
@@ -22,8 +24,10 @@ pub(super) struct Pairing<'a> {
     drives: Vec<Recording>,
     /// For each drive: the truth and each system's measurements.
     sources: Vec<(Truth, Vec<Measurements>)>,
-    /// The manifest and its camera, where the data are listed in one.
-    manifest: Option<(Manifest, Pose)>,
+    /// The camera that each was read with, where the configuration says one.
+    cameras: Vec<Option<CameraConfig>>,
+    /// The manifest, where the data are listed in one.
+    manifest: Option<Manifest>,
 }
 
 impl<'a> Pairing<'a> {
@@ -32,14 +36,8 @@ impl<'a> Pairing<'a> {
     /// # Errors
     /// The manifest is missing or malformed.
     pub(super) fn new(config: &'a PairSettings<'a>, scope: PairScope) -> Result<Self> {
-        let manifest = match &config.data.manifest {
-            None => None,
-            Some(path) => {
-                let camera = config.data.camera_from_vehicle.map(pose_of_numbers);
-                Some((Manifest::load(path)?, camera.unwrap_or_else(camera_axes_from_vehicle)))
-            }
-        };
-        Ok(Self { config, scope, drives: Vec::new(), sources: Vec::new(), manifest })
+        let manifest = config.data.manifest.as_deref().map(Manifest::load).transpose()?;
+        Ok(Self { config, scope, drives: Vec::new(), cameras: Vec::new(), sources: Vec::new(), manifest })
     }
 
     /// The drives seen so far.
@@ -53,7 +51,7 @@ impl<'a> Pairing<'a> {
     /// The drive, its calibration or a measurement file is missing or malformed, or too many packets
     /// are unreadable.
     pub(super) fn pair_drive(&mut self, split: SplitName, wanted: &DriveConfig) -> Result<(Coverage, Vec<Pair>)> {
-        let index = self.drive_index(&wanted.drive)?;
+        let index = self.drive_index(wanted)?;
         let drive = &self.drives[index];
         let (truth, systems) = &self.sources[index];
         let root = &self.config.data.root;
@@ -66,7 +64,7 @@ impl<'a> Pairing<'a> {
         let has_depth = |&(_, target): &(usize, usize)| has_depth(self.config.depth, drive, target, root);
 
         let pose_pairs: Vec<(usize, usize)> =
-            truth.motions().into_keys().filter(|&(source, _)| wanted_frame(source)).collect();
+            truth.motions(&self.config.data.gap).into_keys().filter(|&(source, _)| wanted_frame(source)).collect();
         let image_pairs: Vec<_> = pose_pairs.iter().copied().filter(has_images).collect();
         let depth_pairs = image_pairs.iter().copied().filter(has_depth).count();
 
@@ -151,15 +149,33 @@ impl<'a> Pairing<'a> {
         Ok((coverage, pairs))
     }
 
-    fn drive_index(&mut self, name: &str) -> Result<usize> {
-        if let Some(index) = self.drives.iter().position(|drive| drive.name == name) {
-            return Ok(index);
+    fn drive_index(&mut self, wanted: &DriveConfig) -> Result<usize> {
+        let name = &wanted.drive;
+        let data = self.config.data;
+        let camera = wanted.camera.as_ref().or(data.camera.as_ref());
+        if let Some(index) = self.drives.iter().position(|drive| drive.name == *name) {
+            let problem = || format!("`{name}` is named with another camera before");
+            let same = self.cameras[index] == camera.cloned();
+            return if same { Ok(index) } else { Err(Error::config("data", problem())) };
         }
-        let root = &self.config.data.root;
+        let root = &data.root;
+        let camera_from_vehicle = data.camera_from_vehicle.map(pose_of_numbers);
         let drive = match &self.manifest {
-            None => load_kitti_raw(root, name)?,
-            Some((manifest, camera_from_vehicle)) => manifest.recording(name, camera_from_vehicle)?,
+            None => {
+                let camera_from_vehicle = camera_from_vehicle.as_ref();
+                open_recording(root, name, &Opening { layout: data.layout, camera, camera_from_vehicle })?
+            }
+            Some(manifest) => {
+                manifest.recording(name, &camera_from_vehicle.unwrap_or_else(camera_axes_from_vehicle))?
+            }
         };
+        if let Some(first) = drive.remarks.first() {
+            let others = match drive.remarks.len() {
+                1 => String::new(),
+                count => format!(" (and {} other remarks: relcov inspect)", count - 1),
+            };
+            tracing::warn!("{name}: {first}{others}");
+        }
         let packets = drive.poses.len() + drive.problems.len();
         let limit = self.config.data.max_bad_fraction;
         if drive.problems.len() as f64 > limit * packets as f64 {
@@ -177,9 +193,7 @@ impl<'a> Pairing<'a> {
         if self.config.input.stereo && self.scope != PairScope::Poses && drive.calibration.right_from_left.is_none() {
             return Err(Error::config(
                 "model.stereo",
-                format!(
-                    "{name} has no right camera: its calib_cam_to_cam.txt needs S_rect_03 and P_rect_03 with the intrinsics of P_rect_02"
-                ),
+                format!("{name} has no right camera: {}", drive.layout.right_camera()),
             ));
         }
         let truth = Truth::load(self.config.truth, &drive, root)?;
@@ -187,10 +201,11 @@ impl<'a> Pairing<'a> {
             .config
             .systems
             .iter()
-            .map(|system| load_measurements(system, &drive, root, &truth))
+            .map(|system| load_measurements(system, &drive, root, &truth, &self.config.data.gap))
             .collect::<Result<_>>()?;
         tracing::debug!("{name}: {} packets, {} images", drive.poses.len(), drive.images.len());
         self.drives.push(drive);
+        self.cameras.push(camera.cloned());
         self.sources.push((truth, systems));
         Ok(self.drives.len() - 1)
     }

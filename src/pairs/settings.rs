@@ -2,11 +2,12 @@
 
 use std::path::PathBuf;
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::alignment::EvidenceInput;
 use crate::depth::DepthConfig;
 use crate::geometry::ErrorFrame;
+use crate::recordings::{CameraConfig, Layout};
 use crate::synthetic::SyntheticSettings;
 use crate::systems::{SystemConfig, TruthConfig};
 
@@ -14,15 +15,26 @@ use crate::systems::{SystemConfig, TruthConfig};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DataConfig {
-    /// Folder in the KITTI raw layout: `DATE/DRIVE/{image_02,oxts,…}` and `DATE/calib_*.txt`. Default: none, the data
-    /// are a `manifest`'s.
+    /// Folder that holds recordings: of the KITTI raw layout `DATE/DRIVE`, of KITTI odometry `sequences/NN`, of TUM RGB-D
+    /// and EuRoC the recordings' folders. Default: none, the data are a `manifest`'s.
     #[serde(default)]
     pub root: PathBuf,
-    /// A pairs manifest in place of drives in the KITTI raw layout: its sequences are the drives, its columns the
+    /// How recordings lie there: `kitti_raw`, `kitti_odometry`, `tum_rgbd` or `euroc`. Default: the one that fits.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub layout: Option<Layout>,
+    /// How many frames apart the two of a pair are; several make pairs of each: `gap = [1, 5, 10]`. Default: neighbouring
+    /// frames, keyframes and the next, and what files of relative poses and manifests list.
+    #[serde(default, skip_serializing_if = "Vec::is_empty", deserialize_with = "one_or_several")]
+    pub gap: Vec<usize>,
+    /// The camera, for recordings that do not say it (`tum_rgbd`). Default: the known one of fr1, fr2 and fr3, by the name
+    /// of the recording.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera: Option<CameraConfig>,
+    /// A pairs manifest in place of recordings: its sequences are the drives, its columns the
     /// measured and true poses ([`crate::recordings::Manifest`]). Default: none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub manifest: Option<PathBuf>,
-    /// With a manifest: vehicle axes into those of the camera, `x y z qx qy qz qw`, m. Default: the vehicle is where the
+    /// With a manifest or in the layout `tum_rgbd`: vehicle axes into those of the camera, `x y z qx qy qz qw`, m. Default: the vehicle is where the
     /// camera is, x forward, y left, z up.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub camera_from_vehicle: Option<[f64; 7]>,
@@ -56,11 +68,28 @@ pub struct DataConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DriveConfig {
-    /// Folder name, such as `2011_09_30_drive_0034_sync`.
+    /// Name of its folder, such as `2011_09_30_drive_0034_sync`, `03` or `MH_01_easy`.
     pub drive: String,
     /// Only pairs whose source frame lies in `[first, end)`. Default: all.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frames: Option<[usize; 2]>,
+    /// Its camera, where it is another than `data.camera`. Default: that.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera: Option<CameraConfig>,
+}
+
+/// A number, or a list of such.
+fn one_or_several<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<usize>, D::Error> {
+    #[derive(Deserialize)]
+    #[serde(untagged, expecting = "a number of frames, or a list of such")]
+    enum Gap {
+        One(usize),
+        Several(Vec<usize>),
+    }
+    Ok(match Gap::deserialize(deserializer)? {
+        Gap::One(gap) => vec![gap],
+        Gap::Several(gaps) => gaps,
+    })
 }
 
 fn default_validation_fraction() -> f64 {

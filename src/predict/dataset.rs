@@ -44,7 +44,10 @@ impl Model {
         for prediction in &predictions {
             let Prediction { pair, system, motion, .. } = prediction;
             let drive = &dataset.drives[pair.drive];
-            let world_from_vehicle = drive.poses.get(&pair.source).filter(|_| config.truth == TruthConfig::Oxts {});
+            let world_from_vehicle = drive
+                .poses
+                .get(&pair.source)
+                .filter(|_| matches!(config.truth, TruthConfig::Oxts {} | TruthConfig::Recording {}));
             let axes = |frame| axes_from_vehicle(drive, frame, world_from_vehicle);
             let output_from_vehicle = axes(output)?;
             let estimate =

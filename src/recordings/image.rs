@@ -1,6 +1,6 @@
 //! Decoding colour images and bringing them to the network's size.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Once;
 
 use fast_image_resize::images::Image as ResizeImage;
@@ -139,15 +139,24 @@ fn limits() -> Limits {
     limits
 }
 
+/// Width and height of the first image that can be read, px: a broken one costs its own pairs.
+///
+/// # Errors
+/// None can be read.
+pub(super) fn size_of_first<'a>(mut images: impl Iterator<Item = &'a PathBuf>) -> Result<[usize; 2]> {
+    let first = images.next().ok_or_else(|| Error::Data("no image is listed".to_owned()))?;
+    image_size(first).or_else(|error| images.find_map(|image| image_size(image).ok()).ok_or(error))
+}
+
 /// Width and height of an image file, px, by its header.
-pub(super) fn image_size(path: &Path) -> Result<(usize, usize)> {
+fn image_size(path: &Path) -> Result<[usize; 2]> {
     require_regular(path)?;
     let reader = ImageReader::open(path).map_err(Error::io("read", path))?;
     let reader = reader.with_guessed_format().map_err(Error::io("read", path))?;
     let (width, height) = reader
         .into_dimensions()
         .map_err(|error| Error::malformed(path, Place::Whole, error.to_string(), "a complete PNG or JPEG image"))?;
-    Ok((width as usize, height as usize))
+    Ok([width as usize, height as usize])
 }
 
 /// Whether a JPEG reaches its end: segment by segment, and through the entropy-coded data of its scans, where `FF 00` and

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::path::PathBuf;
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Matrix3x4, Vector3};
 
 use crate::error::{Error, Place, Result};
 use crate::files::{parse_numbers, read_text};
@@ -58,53 +58,62 @@ impl KeyedLines {
         })
     }
 
-    /// A rectified camera and where camera 0 is to it.
+    /// A rectified camera of KITTI raw and where camera 0 is to it.
     pub(super) fn camera(&self, number: usize) -> Result<(Pinhole, Pose)> {
         let size: [f64; 2] = self.numbers(&format!("S_rect_0{number}"))?;
-        let key = format!("P_rect_0{number}");
-        let [fx, skew, cx, px, _, fy, cy, py, _, _, _, pz] = self.numbers::<12>(&key)?;
-        let usable = fx > 0.0 && fy > 0.0 && skew == 0.0 && size.iter().all(|&pixels| pixels >= 2.0);
+        self.projection(&format!("P_rect_0{number}"), size.map(|pixels| pixels as usize))
+    }
+
+    /// A camera of this size (width and height, px) by its 3x4 matrix `P = K [I | t]`, and where camera 0 is to it.
+    pub(super) fn projection(&self, key: &str, size: [usize; 2]) -> Result<(Pinhole, Pose)> {
+        let [fx, skew, cx, px, _, fy, cy, py, _, _, _, pz] = self.numbers::<12>(key)?;
+        let usable = fx > 0.0 && fy > 0.0 && skew == 0.0 && size.iter().all(|&pixels| pixels >= 2);
         if !usable {
             return Err(Error::malformed(
                 &self.path,
-                Place::Field(key),
+                Place::Field(key.to_owned()),
                 format!("fx {fx}, fy {fy}, skew {skew}, size {size:?}"),
                 "a pinhole camera without skew",
             ));
         }
-        // P = K [I | t]
         let offset = Vector3::new((px - cx * pz) / fx, (py - cy * pz) / fy, pz);
-        let camera = Pinhole { fx, fy, cx, cy, width: size[0] as usize, height: size[1] as usize };
+        let [width, height] = size;
+        let camera = Pinhole { fx, fy, cx, cy, width, height };
         Ok((camera, Pose { translation: offset, ..Pose::identity() }))
     }
 
-    /// Where a sensor is beside another, m.
+    /// Where a sensor is beside another, by its 3x4 matrix.
+    pub(super) fn pose(&self, key: &str) -> Result<Pose> {
+        let matrix = Matrix3x4::from_row_slice(&self.numbers::<12>(key)?);
+        let offset = self.near(key, matrix.column(3).into())?;
+        self.pose_of_parts(key, matrix.fixed_columns::<3>(0).into(), offset)
+    }
+
+    /// The same by its rotation alone.
+    pub(super) fn rotation(&self, key: &str, translation: Vector3<f64>) -> Result<Pose> {
+        self.pose_of_parts(key, Matrix3::from_row_slice(&self.numbers::<9>(key)?), translation)
+    }
+
+    /// The same by its offset alone, m.
     pub(super) fn offset(&self) -> Result<Vector3<f64>> {
-        let offset = Vector3::from(self.numbers::<3>("T")?);
+        self.near("T", Vector3::from(self.numbers::<3>("T")?))
+    }
+
+    fn near(&self, key: &str, offset: Vector3<f64>) -> Result<Vector3<f64>> {
+        let found = format!("`{key}` with an offset of {:.1e} m", offset.norm());
         match offset.norm() <= LARGEST_OFFSET_M {
             true => Ok(offset),
-            false => {
-                let found = format!("an offset of {:.1e} m", offset.norm());
-                Err(Error::malformed(
-                    &self.path,
-                    Place::Field("T".to_owned()),
-                    found,
-                    "metres between sensors of a vehicle",
-                ))
-            }
+            false => Err(self.malformed(key, found, "metres between sensors of a vehicle")),
         }
     }
 
-    pub(super) fn rotation(&self, key: &str, translation: Vector3<f64>) -> Result<Pose> {
-        let matrix = Matrix3::from_row_slice(&self.numbers::<9>(key)?);
-        Pose::from_rounded_parts(matrix, translation, ROTATION_TOLERANCE).map_err(|deviation| {
-            let place = Place::Line(self.lines[key].0);
-            Error::malformed(
-                &self.path,
-                place,
-                format!("`{key}` with |RᵀR − I| = {deviation:.1e}"),
-                "a rotation matrix",
-            )
+    fn pose_of_parts(&self, key: &str, rotation: Matrix3<f64>, offset: Vector3<f64>) -> Result<Pose> {
+        Pose::from_rounded_parts(rotation, offset, ROTATION_TOLERANCE).map_err(|deviation| {
+            self.malformed(key, format!("`{key}` with |RᵀR − I| = {deviation:.1e}"), "a rotation matrix")
         })
+    }
+
+    fn malformed(&self, key: &str, found: String, expected: &str) -> Error {
+        Error::malformed(&self.path, Place::Line(self.lines[key].0), found, expected)
     }
 }

@@ -54,19 +54,15 @@ pub fn load_kitti_raw(root: &Path, name: &str) -> Result<Recording> {
     let of_times = TIMES.map(|name| folder.join(name));
     let times = load_times(of_times.iter().map(|path| path.as_path()).zip([&images, &packets]), &mut time_problems);
     Ok(Recording {
-        name: name.to_owned(),
-        layout: Layout::KittiRaw,
-        calibration: load_kitti_calibration(&date_folder)?,
         right_images: list_frames(&folder.join("image_03/data"), &IMAGES)?,
         scans: list_frames(&folder.join("velodyne_points/data"), &["bin"])?,
-        depth: FrameFiles::new(),
         poses: load_poses(&packets, &mut problems),
         images,
         times,
         problems,
         time_problems,
-        listed: None,
         sources: packets.into_values().chain(CALIBRATION.map(|name| date_folder.join(name))).chain(of_times).collect(),
+        ..Recording::new(Layout::KittiRaw, name, load_kitti_calibration(&date_folder)?)
     })
 }
 

@@ -8,15 +8,31 @@ use serde::{Deserialize, Serialize};
 pub enum Layout {
     /// KITTI raw: `DATE/DRIVE/{image_02,image_03,velodyne_points,oxts}` and `DATE/calib_*.txt`.
     KittiRaw,
+    /// KITTI odometry: `sequences/NN/{image_0..3,velodyne,calib.txt,times.txt}` and `poses/NN.txt`.
+    KittiOdometry,
+    /// TUM RGB-D: `rgb.txt`, `depth.txt` and `groundtruth.txt`.
+    TumRgbd,
     /// A pairs manifest.
     Manifest,
 }
 
 impl Layout {
+    /// Name as in the configuration.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::KittiRaw => "kitti_raw",
+            Self::KittiOdometry => "kitti_odometry",
+            Self::TumRgbd => "tum_rgbd",
+            Self::Manifest => "manifest",
+        }
+    }
+
     /// Where its images are, for messages.
     pub(super) fn images(self) -> &'static str {
         match self {
             Self::KittiRaw => "image_02/data and image_03/data",
+            Self::KittiOdometry => "image_2 and image_3, or image_0 and image_1",
+            Self::TumRgbd => "rgb.txt",
             Self::Manifest => "its manifest",
         }
     }
@@ -25,7 +41,16 @@ impl Layout {
     pub(super) fn size(self) -> &'static str {
         match self {
             Self::KittiRaw => "in calib_cam_to_cam.txt (S_rect)",
-            Self::Manifest => "the first of the sequence",
+            Self::KittiOdometry | Self::TumRgbd | Self::Manifest => "the first of the sequence",
+        }
+    }
+
+    /// What a right camera takes, for messages.
+    pub(crate) fn right_camera(self) -> &'static str {
+        match self {
+            Self::KittiRaw => "its calib_cam_to_cam.txt needs S_rect_03 and P_rect_03 with the intrinsics of P_rect_02",
+            Self::KittiOdometry => "its calib.txt needs P3 with the intrinsics of P2, or P1 with those of P0",
+            Self::TumRgbd | Self::Manifest => "its layout knows none",
         }
     }
 
@@ -33,6 +58,8 @@ impl Layout {
     pub(crate) fn times(self) -> &'static str {
         match self {
             Self::KittiRaw => "image_02/timestamps.txt or oxts/timestamps.txt with a time a line",
+            Self::KittiOdometry => "times.txt with a time a line",
+            Self::TumRgbd => "rgb.txt",
             Self::Manifest => "the columns source_time and target_time in its manifest",
         }
     }

@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 use nalgebra::Vector3;
 
 use super::calibration::Calibration;
-use super::image::image_size;
+use super::image::size_of_first;
 use super::layout::Layout;
 use super::recording::{FrameFiles, Listed, Recording};
 use super::trajectory::{LARGEST_MOTION_M, pose_from_quaternion};
@@ -196,10 +196,7 @@ impl Manifest {
                 format!("`{name}` is no sequence of {}, which holds {}", self.path.display(), known.join(", ")),
             )
         })?;
-        // The first that can be read: a broken one costs its own pairs.
-        let mut images = sequence.images.values();
-        let first = image_size(images.next().expect("a row names two images"));
-        let (width, height) = first.or_else(|error| images.find_map(|image| image_size(image).ok()).ok_or(error))?;
+        let [width, height] = size_of_first(sequence.images.values())?;
         let [fx, fy, cx, cy] = sequence.intrinsics;
         let camera = Pinhole { fx, fy, cx, cy, width, height };
         camera
@@ -213,19 +210,12 @@ impl Manifest {
             right_from_left: None,
         };
         Ok(Recording {
-            name: name.to_owned(),
-            layout: Layout::Manifest,
-            calibration,
             images: sequence.images.clone(),
-            right_images: FrameFiles::new(),
-            scans: FrameFiles::new(),
             depth: sequence.depth.clone(),
-            poses: BTreeMap::new(),
             times: sequence.times.clone(),
-            problems: Vec::new(),
-            time_problems: Vec::new(),
             listed: Some(sequence.listed.clone()),
             sources: vec![self.path.clone()],
+            ..Recording::new(Layout::Manifest, name, calibration)
         })
     }
 

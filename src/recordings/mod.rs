@@ -3,29 +3,43 @@
 //!
 //! Leaves to others: who measured (`systems`), depth that is made (`depth`), which frames make pairs (`pairs`).
 
+mod association;
 mod calibration;
 mod frames;
 mod image;
 mod keyed_lines;
+mod kitti_odometry;
 mod kitti_raw;
 mod layout;
 mod manifest;
+mod open;
 mod oxts;
 mod recording;
+mod settings;
+mod time_list;
 mod times;
 mod trajectory;
+mod tum_rgbd;
+mod undistortion;
 
 pub(crate) use self::image::decode;
 pub use self::image::{RgbImage, decode_image, read_image};
+pub(crate) use association::LARGEST_DISTANCE_S;
 pub use calibration::{Calibration, MeasurementFrame, camera_axes_from_vehicle};
+pub use kitti_odometry::load_kitti_odometry;
 pub use kitti_raw::{load_kitti_calibration, load_kitti_raw};
 pub use layout::Layout;
 pub use manifest::Manifest;
+pub use open::{Opening, open_recording};
 pub(crate) use oxts::EARTH_RADIUS_M;
 pub use oxts::{OxtsPacket, world_from_vehicle};
+pub(crate) use recording::KITTI_STEPS_PER_METRE;
 pub use recording::{FrameFiles, Listed, Motions, Recording};
+pub use settings::CameraConfig;
 pub(crate) use trajectory::{KittiPoses, LARGEST_MOTION_M, parse_kitti_poses, pose_from_quaternion};
 pub use trajectory::{Trajectory, parse_kitti_trajectory, parse_tum_trajectory};
+pub use tum_rgbd::load_tum_rgbd;
+pub use undistortion::Undistortion;
 
 /// Environment variable that overrides `data.root`.
 pub const DATA_ROOT_VARIABLE: &str = "RELCOV_DATA_ROOT";

@@ -2,13 +2,18 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use super::calibration::Calibration;
 use super::image::{RgbImage, read_image};
 use super::layout::Layout;
+use super::undistortion::Undistortion;
 use crate::error::{Error, Place, Result};
 use crate::geometry::Pose;
 use crate::time::Time;
+
+/// Steps of a metre in depth maps: KITTI's.
+pub(crate) const KITTI_STEPS_PER_METRE: f32 = 256.0;
 
 /// Files by frame index.
 pub type FrameFiles = BTreeMap<usize, PathBuf>;
@@ -31,8 +36,14 @@ pub struct Recording {
     pub right_images: FrameFiles,
     /// LiDAR scans.
     pub scans: FrameFiles,
-    /// Depth maps of its own.
+    /// Depth maps of its own, 16-bit PNG, 0 = unknown.
     pub depth: FrameFiles,
+    /// Steps of a metre in those.
+    pub depth_steps_per_metre: f32,
+    /// What takes the distortion out of its images and depth maps, where they have one.
+    pub lens: Option<Arc<Undistortion>>,
+    /// The same of its right images.
+    pub right_lens: Option<Arc<Undistortion>>,
     /// Poses that it brings with it, `world_from_vehicle`: in the KITTI raw layout by GNSS/INS (`oxts`), world of east,
     /// north, up.
     pub poses: BTreeMap<usize, Pose>,
@@ -42,6 +53,8 @@ pub struct Recording {
     pub problems: Vec<String>,
     /// Times that could not be read or are missing; their frames have none.
     pub time_problems: Vec<String>,
+    /// What else is missing or not used, counted.
+    pub remarks: Vec<String>,
     /// Motions that are listed with it; `None` where its layout lists none.
     pub listed: Option<Listed>,
     /// What it was read from beside the files of frames.
@@ -58,6 +71,29 @@ pub struct Listed {
 }
 
 impl Recording {
+    /// A recording of which nothing is known yet but its sensors.
+    pub(super) fn new(layout: Layout, name: &str, calibration: Calibration) -> Self {
+        Self {
+            name: name.to_owned(),
+            layout,
+            calibration,
+            images: FrameFiles::new(),
+            right_images: FrameFiles::new(),
+            scans: FrameFiles::new(),
+            depth: FrameFiles::new(),
+            depth_steps_per_metre: KITTI_STEPS_PER_METRE,
+            lens: None,
+            right_lens: None,
+            poses: BTreeMap::new(),
+            times: BTreeMap::new(),
+            problems: Vec::new(),
+            time_problems: Vec::new(),
+            remarks: Vec::new(),
+            listed: None,
+            sources: Vec::new(),
+        }
+    }
+
     /// The frames' times, for what cannot do without them.
     ///
     /// # Errors
@@ -73,12 +109,12 @@ impl Recording {
         }
     }
 
-    /// Reads the image of a frame.
+    /// Reads the image of a frame, undistorted.
     ///
     /// # Errors
     /// The frame has none, or it cannot be decoded or has another size than the calibration says.
     pub fn read_image(&self, frame: usize) -> Result<RgbImage> {
-        self.read(&self.images, frame, "image")
+        self.read(&self.images, frame, "image", self.lens.as_deref())
     }
 
     /// The same of the right camera.
@@ -86,10 +122,10 @@ impl Recording {
     /// # Errors
     /// As [`Recording::read_image`].
     pub fn read_right_image(&self, frame: usize) -> Result<RgbImage> {
-        self.read(&self.right_images, frame, "right image")
+        self.read(&self.right_images, frame, "right image", self.right_lens.as_deref())
     }
 
-    fn read(&self, images: &FrameFiles, frame: usize, what: &str) -> Result<RgbImage> {
+    fn read(&self, images: &FrameFiles, frame: usize, what: &str, lens: Option<&Undistortion>) -> Result<RgbImage> {
         let Some(path) = images.get(&frame) else {
             return Err(Error::Data(format!("{}, frame {frame}: no {what} in {}", self.name, self.layout.images())));
         };
@@ -103,7 +139,10 @@ impl Recording {
                 format!("{width}x{height} as {}", self.layout.size()),
             ));
         }
-        Ok(image)
+        Ok(match lens {
+            Some(lens) => lens.image(&image),
+            None => image,
+        })
     }
 
     /// Width and height of its images, px.

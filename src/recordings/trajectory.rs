@@ -5,6 +5,7 @@ use std::path::Path;
 
 use nalgebra::{Matrix3x4, Quaternion, Rotation3, UnitQuaternion, Vector3};
 
+use super::association::Association;
 use crate::error::{Error, Place, Result, excerpt};
 use crate::files::{frame_index, parse_numbers, remarks, rows};
 use crate::geometry::Pose;
@@ -102,12 +103,9 @@ pub fn parse_tum_trajectory(
     tolerance_s: f64,
 ) -> Result<Trajectory> {
     require_tum_order(text, path)?;
-    let mut frames: Vec<(Time, usize)> = frame_times.iter().map(|(&frame, &time)| (time, frame)).collect();
-    frames.sort();
-    // For each frame the offset of its nearest row, and that row's pose.
-    let mut nearest_rows: BTreeMap<usize, (f64, Pose)> = BTreeMap::new();
+    let mut nearest = Association::new(frame_times, tolerance_s);
+    let mut poses: Vec<Pose> = Vec::new();
     let mut span: Option<[Time; 2]> = None;
-    let mut count = 0;
     for (place, line) in rows(text) {
         let malformed = |found: String, expected: &str| Error::malformed(path, place.clone(), found, expected);
         let values = parse_numbers(line, path, &place)?;
@@ -121,39 +119,43 @@ pub fn parse_tum_trajectory(
             return Err(malformed(format!("time {time} after {last}"), "increasing times"));
         }
         span = Some([span.map_or(time, |[first, _]| first), time]);
-        count += 1;
-        let pose = pose_from_quaternion(Vector3::new(x, y, z), [qx, qy, qz, qw], path, &place)?;
-        let after = frames.partition_point(|&(frame_time, _)| frame_time < time);
-        let nearest = frames[after.saturating_sub(1)..frames.len().min(after + 1)]
-            .iter()
-            .map(|&(frame_time, frame)| (frame_time.since(time).abs(), frame))
-            .min_by(|a, b| a.0.total_cmp(&b.0));
-        if let Some((offset, frame)) = nearest {
-            let known = nearest_rows.get(&frame).map_or(tolerance_s, |&(offset, _)| offset);
-            if offset <= known {
-                nearest_rows.insert(frame, (offset, pose));
-            }
-        }
+        nearest.offer(time, poses.len());
+        poses.push(pose_from_quaternion(Vector3::new(x, y, z), [qx, qy, qz, qw], path, &place)?);
     }
-    let Some([first, last]) = span else {
+    let Some(span) = span else {
         return Err(Error::malformed(path, Place::Whole, "no row", "rows of t x y z qx qy qz qw"));
     };
-    if nearest_rows.is_empty() {
-        let expected = match (frames.first(), frames.last()) {
-            (Some((begin, _)), Some((end, _))) => format!("times of frames, {begin} to {end}, to {tolerance_s} s"),
-            _ => "frames whose times are known".to_owned(),
+    poses_of_frames(nearest, &poses, span, path)
+}
+
+/// The poses nearest to frames; said where frames within their time have none.
+///
+/// # Errors
+/// Not one belongs to a frame: another clock, or other units.
+pub(super) fn poses_of_frames(
+    nearest: Association,
+    poses: &[Pose],
+    span: [Time; 2],
+    path: &Path,
+) -> Result<Trajectory> {
+    let (limit_s, within, frames) = (nearest.limit_s(), nearest.frames_within(span), nearest.span());
+    let nearest = nearest.into_nearest();
+    if nearest.is_empty() {
+        let expected = match frames {
+            Some([begin, end]) => format!("times of frames, {begin} to {end}, to {limit_s} s"),
+            None => "frames whose times are known".to_owned(),
         };
-        return Err(Error::malformed(path, Place::Whole, format!("{count} poses, {first} to {last} s"), expected));
+        let found = format!("{} poses, {} to {} s", poses.len(), span[0], span[1]);
+        return Err(Error::malformed(path, Place::Whole, found, expected));
     }
-    let within = frames.iter().filter(|(time, _)| (first..=last).contains(time)).count();
-    let lacking = within.saturating_sub(nearest_rows.len());
+    let lacking = within.saturating_sub(nearest.len());
     if lacking > 0 {
         let path = path.display();
         tracing::warn!(
-            "{path}: {lacking} of the {within} frames between its first and last row have no pose within {tolerance_s} s"
+            "{path}: {lacking} of the {within} frames between its first and last row have no pose within {limit_s} s"
         );
     }
-    Ok(nearest_rows.into_iter().map(|(frame, (_, pose))| (frame, pose)).collect())
+    Ok(nearest.into_iter().map(|(frame, index)| (frame, poses[index])).collect())
 }
 
 /// That a remark which names columns names them as TUM files have them.

@@ -8,10 +8,10 @@ use super::settings::{SystemConfig, SystemSource, TrajectoryConfig, TrajectoryFo
 use crate::error::{Error, Place, Result};
 use crate::files::{fill_template, read_text, remarks};
 use crate::geometry::ErrorFrame;
-use crate::recordings::{KittiPoses, MeasurementFrame, Recording, Trajectory, parse_kitti_poses, parse_tum_trajectory};
-
-/// Largest distance in time between a TUM row and the frame it belongs to, s: a fifth of KITTI's period.
-const TUM_TOLERANCE_S: f64 = 0.02;
+use crate::recordings::{
+    KittiPoses, LARGEST_DISTANCE_S, Layout, MeasurementFrame, Recording, Trajectory, parse_kitti_poses,
+    parse_tum_trajectory,
+};
 
 /// The number of a drive's odometry sequence, in templates of paths.
 const SEQUENCE: &str = "{sequence}";
@@ -73,7 +73,7 @@ pub(super) fn load_trajectory(config: &TrajectoryConfig, drive: &Recording, root
         TrajectoryFormat::Tum => {
             require_axes(stated_axes(&text), config.frame, &path)?;
             let times = drive.require_times("a TUM trajectory")?;
-            parse_tum_trajectory(&text, &path, times, TUM_TOLERANCE_S)?
+            parse_tum_trajectory(&text, &path, times, LARGEST_DISTANCE_S)?
         }
     };
     Ok(Some(trajectory))
@@ -90,7 +90,10 @@ pub(crate) fn measurement_file(system: &SystemConfig, drive: &Recording, root: &
 
 /// A template's path for a drive.
 pub(super) fn expand(template: &Path, drive: &Recording, root: &Path) -> PathBuf {
-    let sequence = odometry_sequence(drive.short_name()).map_or("none", |sequence| sequence.number);
+    let sequence = match drive.layout {
+        Layout::KittiOdometry => drive.name.as_str(),
+        _ => odometry_sequence(drive.short_name()).map_or("none", |sequence| sequence.number),
+    };
     let slots = [("{drive}", drive.short_name()), ("{date}", drive.date()), (SEQUENCE, sequence)];
     root.join(fill_template(template, &slots))
 }

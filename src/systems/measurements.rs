@@ -4,10 +4,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use super::files::{expand, load_trajectory, require_axes};
-use super::motions::{Steps, motions_of, warn_of_long_steps};
+use super::motions::{Steps, apart, motions_of, warn_of_long_steps};
 use super::relative::{Statement, parse_relative_poses, warn_of_turns};
 use super::settings::{SystemConfig, SystemSource};
-use super::truth::Truth;
+use super::truth::{Truth, require_packets};
 use crate::error::{Error, Result};
 use crate::files::read_text;
 use crate::geometry::{Covariance6, Pose};
@@ -33,12 +33,19 @@ impl Measurements {
     }
 }
 
-/// Measured relative poses of one system on one drive.
+/// Measured relative poses of one system on one drive: those between frames so many apart; without `gaps`, between
+/// neighbouring frames or keyframes, and all that files and manifests list.
 ///
 /// # Errors
 /// The measurement file is malformed. A file that does not exist gives no measurements and is named
 /// in the result.
-pub fn load_measurements(system: &SystemConfig, drive: &Recording, root: &Path, truth: &Truth) -> Result<Measurements> {
+pub fn load_measurements(
+    system: &SystemConfig,
+    drive: &Recording,
+    root: &Path,
+    truth: &Truth,
+    gaps: &[usize],
+) -> Result<Measurements> {
     let found = |frame, relative_poses| Measurements {
         frame,
         relative_poses,
@@ -48,11 +55,16 @@ pub fn load_measurements(system: &SystemConfig, drive: &Recording, root: &Path, 
     let missing = |frame, path| Measurements { missing_file: Some(path), ..found(frame, BTreeMap::new()) };
     Ok(match &system.source {
         // True here; the data set draws their errors.
-        SystemSource::Truth {} | SystemSource::Perturbation(_) => found(MeasurementFrame::Vehicle, truth.motions()),
-        SystemSource::Oxts {} => found(MeasurementFrame::Vehicle, motions_of(&drive.poses, Steps::Consecutive)),
+        SystemSource::Truth {} | SystemSource::Perturbation(_) => found(MeasurementFrame::Vehicle, truth.motions(gaps)),
+        SystemSource::Oxts {} => {
+            require_packets(drive, "systems", "")?;
+            let gaps = if gaps.is_empty() { &[1] } else { gaps };
+            found(MeasurementFrame::Vehicle, motions_of(&drive.poses, Steps::Apart(gaps)))
+        }
         SystemSource::Trajectory(config) => match load_trajectory(config, drive, root)? {
             Some(trajectory) => {
-                let motions = motions_of(&trajectory, Steps::Keyframes);
+                let steps = if gaps.is_empty() { Steps::Keyframes } else { Steps::Apart(gaps) };
+                let motions = motions_of(&trajectory, steps);
                 let path = expand(&config.path, drive, root);
                 warn_of_long_steps(&motions, &path);
                 warn_of_turns(motions.values(), &path);
@@ -68,7 +80,7 @@ pub fn load_measurements(system: &SystemConfig, drive: &Recording, root: &Path, 
                 );
                 Error::config("systems", problem)
             })?;
-            found(*frame, listed.measurements.get(&system.name).cloned().unwrap_or_default())
+            found(*frame, listed.measurements.get(&system.name).map(|motions| apart(motions, gaps)).unwrap_or_default())
         }
         SystemSource::Relative(config) => {
             let path = expand(&config.path, drive, root);
@@ -80,10 +92,13 @@ pub fn load_measurements(system: &SystemConfig, drive: &Recording, root: &Path, 
             let poses = parse_relative_poses(&text, &path)?;
             let covariances = poses.iter().filter_map(|pose| Some(((pose.source, pose.target), pose.covariance?)));
             Measurements {
-                covariances: covariances.collect(),
+                covariances: apart(&covariances.collect(), gaps),
                 ..found(
                     config.frame,
-                    poses.iter().map(|pose| ((pose.source, pose.target), pose.source_from_target)).collect(),
+                    apart(
+                        &poses.iter().map(|pose| ((pose.source, pose.target), pose.source_from_target)).collect(),
+                        gaps,
+                    ),
                 )
             }
         }

@@ -1,8 +1,8 @@
 //! Motions between the poses of a trajectory.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
-use crate::geometry::Pose;
 use crate::recordings::{Motions, Trajectory};
 
 /// Longer steps of a trajectory, in units of its median, are gaps.
@@ -10,21 +10,31 @@ const MOST_STEPS: usize = 10;
 
 /// Which poses of a trajectory make motions.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Steps {
-    /// Those of neighbouring frames: where one is missing, nothing is known.
-    Consecutive,
+pub(super) enum Steps<'a> {
+    /// Those so many frames apart, for each number: where one is missing, nothing is known.
+    Apart(&'a [usize]),
     /// Each and the next, however many frames lie between: what a system measured between its keyframes.
     Keyframes,
 }
 
 /// Motions between poses.
 pub(super) fn motions_of(trajectory: &Trajectory, steps: Steps) -> Motions {
-    let pairs = trajectory.iter().zip(trajectory.iter().skip(1));
-    let wanted = pairs.filter(|((source, _), (target, _))| steps == Steps::Keyframes || **source + 1 == **target);
-    let motion = |((&source, world_from_source), (&target, world_from_target)): ((&usize, &Pose), (&usize, &Pose))| {
-        ((source, target), world_from_source.inverse() * *world_from_target)
-    };
-    wanted.map(motion).collect()
+    let motion =
+        |(source, target): (usize, usize)| ((source, target), trajectory[&source].inverse() * trajectory[&target]);
+    let frames = trajectory.keys().copied();
+    match steps {
+        Steps::Keyframes => frames.clone().zip(frames.skip(1)).map(motion).collect(),
+        Steps::Apart(gaps) => {
+            let pairs = frames.flat_map(|source| gaps.iter().map(move |gap| (source, source + gap)));
+            pairs.filter(|(_, target)| trajectory.contains_key(target)).map(motion).collect()
+        }
+    }
+}
+
+/// Of listed motions those so many frames apart; all, where nothing is asked for.
+pub(super) fn apart<T: Clone>(listed: &BTreeMap<(usize, usize), T>, gaps: &[usize]) -> BTreeMap<(usize, usize), T> {
+    let wanted = |(source, target): (usize, usize)| gaps.is_empty() || gaps.contains(&(target - source));
+    listed.iter().filter(|(pair, _)| wanted(**pair)).map(|(pair, motion)| (*pair, motion.clone())).collect()
 }
 
 /// Says that a trajectory has a gap that is no keyframe's: many times as long as its usual step.
@@ -42,7 +52,7 @@ pub(super) fn warn_of_long_steps(motions: &Motions, path: &Path) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::Tangent;
+    use crate::geometry::{Pose, Tangent};
 
     #[test]
     fn motions_of_keyframes_are_those_between_them() {
@@ -53,6 +63,8 @@ mod tests {
             .map(|(source, target)| ((source, target), forward(target - source)))
             .into();
         assert_eq!(motions, expected);
-        assert_eq!(motions_of(&trajectory, Steps::Consecutive).into_keys().collect::<Vec<_>>(), [(0, 1)]);
+        let apart = |gaps: &[usize]| motions_of(&trajectory, Steps::Apart(gaps)).into_keys().collect::<Vec<_>>();
+        assert_eq!(apart(&[1]), [(0, 1)]);
+        assert_eq!(apart(&[3, 5]), [(0, 3), (1, 6), (3, 6), (6, 9)]);
     }
 }

@@ -10,7 +10,11 @@ use crate::recordings::MeasurementFrame;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "source", rename_all = "snake_case", deny_unknown_fields)]
 pub enum TruthConfig {
-    /// The drive's GNSS/INS packets (the paper's choice; default).
+    /// What the recording brings with it (default): in KITTI raw its GNSS/INS packets (the paper's choice), in KITTI
+    /// odometry `poses/NN.txt`, in TUM RGB-D `groundtruth.txt`, in EuRoC `state_groundtruth_estimate0`, of a manifest its
+    /// columns `true_x` … `true_qw`, as the camera's.
+    Recording {},
+    /// The drive's GNSS/INS packets: KITTI raw's.
     Oxts {},
     /// A trajectory file for each drive.
     Trajectory(TrajectoryConfig),
@@ -24,7 +28,7 @@ pub enum TruthConfig {
 
 impl Default for TruthConfig {
     fn default() -> Self {
-        Self::Oxts {}
+        Self::Recording {}
     }
 }
 

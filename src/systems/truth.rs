@@ -3,11 +3,11 @@
 use std::path::Path;
 
 use super::files::load_trajectory;
-use super::motions::{Steps, motions_of};
+use super::motions::{Steps, apart, motions_of};
 use super::settings::TruthConfig;
 use crate::error::{Error, Result};
 use crate::geometry::Pose;
-use crate::recordings::{Motions, Recording, Trajectory};
+use crate::recordings::{Layout, MeasurementFrame, Motions, Recording, Trajectory};
 
 /// What counts as the true motion of the vehicle.
 #[derive(Clone, Debug)]
@@ -27,7 +27,14 @@ impl Truth {
         let calibration = &drive.calibration;
         let vehicle_from = |frame| calibration.camera_from_vehicle.inverse() * calibration.camera_from(frame);
         match truth {
-            TruthConfig::Oxts {} => Ok(Self::Poses(drive.poses.clone())),
+            TruthConfig::Oxts {} => {
+                require_packets(drive, "truth.source", "; `recording` takes the poses that it brings")?;
+                Ok(Self::Poses(drive.poses.clone()))
+            }
+            TruthConfig::Recording {} if drive.listed.is_none() => Ok(Self::Poses(drive.poses.clone())),
+            TruthConfig::Recording {} => {
+                Self::load(&TruthConfig::Manifest { frame: MeasurementFrame::Camera }, drive, root)
+            }
             TruthConfig::Trajectory(config) => {
                 let body_from_vehicle = vehicle_from(config.frame).inverse();
                 let poses = load_trajectory(config, drive, root)?.unwrap_or_default();
@@ -79,11 +86,11 @@ impl Truth {
         Some(poses)
     }
 
-    /// Motions between neighbouring frames, or all that are listed.
-    pub fn motions(&self) -> Motions {
+    /// Motions between frames so many apart; without `gaps`, between neighbouring ones, or all that are listed.
+    pub fn motions(&self, gaps: &[usize]) -> Motions {
         match self {
-            Self::Poses(poses) => motions_of(poses, Steps::Consecutive),
-            Self::Motions(motions) => motions.clone(),
+            Self::Poses(poses) => motions_of(poses, Steps::Apart(if gaps.is_empty() { &[1] } else { gaps })),
+            Self::Motions(motions) => apart(motions, gaps),
         }
     }
 
@@ -99,5 +106,19 @@ impl Truth {
                 .collect(),
         };
         frames.into_iter()
+    }
+}
+
+/// That a recording has the GNSS/INS packets which a key of the configuration asks for.
+///
+/// # Errors
+/// It is in another layout.
+pub(super) fn require_packets(drive: &Recording, key: &str, remedy: &str) -> Result<()> {
+    match drive.layout {
+        Layout::KittiRaw => Ok(()),
+        other => Err(Error::config(
+            key,
+            format!("`oxts` is KITTI raw's, and {} lies in the layout `{}`{remedy}", drive.name, other.name()),
+        )),
     }
 }

@@ -34,8 +34,8 @@ pub(super) fn of_drive(arguments: &PredictArguments, config: Config, drive: &Pat
         MeasurementFormat::Relative => SystemSource::Relative(RelativeConfig { path: path.clone(), frame }),
     };
     Ok(Config {
-        data: only_test(&config.data, root, None, None, vec![DriveConfig { drive: name, frames: None }]),
-        truth: TruthConfig::Oxts {},
+        data: only_test(&config.data, root, None, None, vec![DriveConfig { drive: name, frames: None, camera: None }]),
+        truth: TruthConfig::Recording {},
         systems: vec![SystemConfig { name: system, share: 1.0, source }],
         ..config
     })
@@ -64,7 +64,7 @@ pub(super) fn of_manifest(arguments: &PredictArguments, config: Config, path: &P
     let frame = arguments.measurement_frame.map_or(MeasurementFrame::Camera, BodyArgument::frame);
     let system =
         |name: &str| SystemConfig { name: name.to_owned(), share: 1.0, source: SystemSource::Manifest { frame } };
-    let drives = manifest.sequences().map(|name| DriveConfig { drive: name.to_owned(), frames: None });
+    let drives = manifest.sequences().map(|name| DriveConfig { drive: name.to_owned(), frames: None, camera: None });
     let data =
         only_test(&config.data, PathBuf::new(), Some(path.to_owned()), arguments.camera_from_vehicle, drives.collect());
     let depth = match &config.depth {
@@ -80,7 +80,10 @@ pub(super) fn of_manifest(arguments: &PredictArguments, config: Config, path: &P
             .into());
         }
         DepthConfig::GroundPlane { .. } | DepthConfig::Monodepth2(_) => config.depth.clone(),
-        DepthConfig::Lidar { .. } | DepthConfig::Files { .. } | DepthConfig::Manifest {} => {
+        DepthConfig::Lidar { .. }
+        | DepthConfig::Files { .. }
+        | DepthConfig::Recording {}
+        | DepthConfig::Manifest {} => {
             return Err(Error::malformed(
                 path,
                 Place::Field("depth".to_owned()),

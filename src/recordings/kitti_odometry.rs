@@ -1,0 +1,122 @@
+//! KITTI odometry: `sequences/NN/{image_0..3,velodyne,calib.txt,times.txt}` and `poses/NN.txt`.
+//!
+//! Colour images are used where there are any, else grey ones. The layout has no IMU: the vehicle is where camera 0 is,
+//! x forward, y left, z up.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use super::calibration::{Calibration, camera_axes_from_vehicle};
+use super::frames::{IMAGES, list_frames};
+use super::image::size_of_first;
+use super::keyed_lines::KeyedLines;
+use super::layout::Layout;
+use super::recording::{FrameFiles, Recording};
+use super::times::load_times;
+use super::trajectory::parse_kitti_trajectory;
+use crate::error::{Error, Place, Result};
+use crate::files::read_text;
+use crate::geometry::{OWN_INTRINSICS, Pose};
+
+/// Left and right camera in the order of preference: colour, then grey.
+const CAMERAS: [[usize; 2]; 2] = [[2, 3], [0, 1]];
+
+/// Looks through `root/sequences/NAME`, and `root/poses/NAME.txt` for its true poses.
+///
+/// # Errors
+/// It is not there or has no images, its calibration is missing or malformed, or its poses are malformed or fewer or
+/// more than its times.
+pub fn load_kitti_odometry(root: &Path, name: &str) -> Result<Recording> {
+    let folder = root.join("sequences").join(name);
+    if !folder.is_dir() {
+        let folder = folder.display();
+        return Err(Error::Data(format!("{folder}: no such folder; expected ROOT/sequences/NN below data.root")));
+    }
+    let images_of = |camera: usize| list_frames(&folder.join(format!("image_{camera}")), &IMAGES);
+    let mut found = None;
+    for [left, right] in CAMERAS {
+        let images = images_of(left)?;
+        if !images.is_empty() {
+            found = Some((images, images_of(right)?, [left, right]));
+            break;
+        }
+    }
+    let Some((images, right_images, [left, right])) = found else {
+        let folder = folder.display();
+        return Err(Error::Data(format!("{folder}: no images in image_2 or image_0, which are named by their frame")));
+    };
+    let scans = list_frames(&folder.join("velodyne"), &["bin"])?;
+    let size = size_of_first(images.values())?;
+    let calibration = load_calibration(&folder.join("calib.txt"), [left, right], size, !scans.is_empty())?;
+    let (mut remarks, mut time_problems) = (Vec::new(), Vec::new());
+    let (times_file, poses_file) = (folder.join("times.txt"), root.join("poses").join(format!("{name}.txt")));
+    let times = load_times([(times_file.as_path(), &images)], &mut time_problems);
+    if times.is_empty() && time_problems.is_empty() {
+        remarks.push(format!("{}: not there; the times of its frames are not known", times_file.display()));
+    }
+    let poses = match poses_file.is_file() {
+        true => load_poses(&poses_file, &calibration, &images, &times, &mut remarks)?,
+        false => {
+            remarks.push(format!("{}: not there; it brings no true poses", poses_file.display()));
+            BTreeMap::new()
+        }
+    };
+    Ok(Recording {
+        images,
+        right_images,
+        scans,
+        poses,
+        times,
+        time_problems,
+        remarks,
+        sources: vec![folder.join("calib.txt"), times_file, poses_file],
+        ..Recording::new(Layout::KittiOdometry, name, calibration)
+    })
+}
+
+fn load_calibration(path: &Path, [left, right]: [usize; 2], size: [usize; 2], scans: bool) -> Result<Calibration> {
+    let lines = KeyedLines::load(path.to_owned())?;
+    let (camera, camera_from_camera0) = lines.projection(&format!("P{left}"), size)?;
+    camera
+        .require_centre()
+        .map_err(|found| Error::malformed(path, Place::Field(format!("P{left}")), found, OWN_INTRINSICS))?;
+    let right_key = format!("P{right}");
+    let right = lines.has(&right_key).then(|| lines.projection(&right_key, size)).transpose()?;
+    let right_from_left = right
+        .filter(|(right, _)| *right == camera)
+        .map(|(_, right_from_camera0)| right_from_camera0 * camera_from_camera0.inverse());
+    // Without scans nobody asks for it.
+    let camera0_from_velodyne = if scans || lines.has("Tr") { lines.pose("Tr")? } else { Pose::identity() };
+    Ok(Calibration {
+        camera,
+        camera_from_camera0,
+        camera_from_velodyne: camera_from_camera0 * camera0_from_velodyne,
+        camera_from_vehicle: camera_from_camera0 * camera_axes_from_vehicle(),
+        right_from_left,
+    })
+}
+
+/// True poses `world_from_vehicle`; the file has those of camera 0, a row for each frame from 0 on.
+fn load_poses(
+    path: &Path,
+    calibration: &Calibration,
+    images: &FrameFiles,
+    times: &BTreeMap<usize, crate::time::Time>,
+    remarks: &mut Vec<String>,
+) -> Result<BTreeMap<usize, Pose>> {
+    let poses = parse_kitti_trajectory(&read_text(path)?, path, 0)?;
+    let rows = poses.last_key_value().map_or(0, |(&last, _)| last + 1);
+    if let Some(count) = times.last_key_value().map(|(&last, _)| last + 1).filter(|count| *count != rows) {
+        let expected = format!("{count} as times.txt has lines: a row for each frame from 0 on");
+        return Err(Error::malformed(path, Place::Whole, format!("poses of {rows} frames"), expected));
+    }
+    let lacking = images.keys().filter(|frame| !poses.contains_key(frame)).count();
+    if lacking > 0 {
+        remarks.push(format!("{}: no pose of {lacking} of its {} frames", path.display(), images.len()));
+    }
+    let camera0_from_vehicle = calibration.camera_from_camera0.inverse() * calibration.camera_from_vehicle;
+    Ok(poses
+        .into_iter()
+        .map(|(frame, world_from_camera0)| (frame, world_from_camera0 * camera0_from_vehicle))
+        .collect())
+}

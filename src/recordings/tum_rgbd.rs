@@ -1,0 +1,184 @@
+//! TUM RGB-D: `rgb.txt`, `depth.txt` and `groundtruth.txt`, each with a time a line; images and depth maps beside them.
+//!
+//! Colour, depth and truth run on clocks of their own and are joined by the nearest time. Depth maps are 16-bit PNG,
+//! metres x 5000, registered to the colour images. The layout says nothing of the camera: it is the configuration's, or
+//! the known one of fr1, fr2 and fr3.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use super::association::{Association, LARGEST_DISTANCE_S};
+use super::calibration::{Calibration, camera_axes_from_vehicle};
+use super::image::size_of_first;
+use super::layout::Layout;
+use super::recording::{FrameFiles, Recording};
+use super::settings::CameraConfig;
+use super::time_list::TimeList;
+use super::trajectory::parse_tum_trajectory;
+use super::undistortion::Undistortion;
+use crate::error::{Error, Place, Result};
+use crate::files::read_text;
+use crate::geometry::{Lens, OWN_INTRINSICS, Pinhole, Pose};
+use crate::time::Time;
+
+/// Steps of a metre in its depth maps.
+const STEPS_PER_METRE: f32 = 5000.0;
+
+/// The colour cameras of the benchmark (Sturm et al. 2012, "Intrinsic camera calibration of the Kinect") by what names of
+/// their recordings contain: fx fy cx cy, and k1 k2 p1 p2 k3.
+const KNOWN: [([&str; 2], [f64; 4], [f64; 5]); 3] = [
+    (["freiburg1", "fr1"], [517.3, 516.5, 318.6, 255.3], [0.2624, -0.9531, -0.0054, 0.0026, 1.1633]),
+    (["freiburg2", "fr2"], [520.9, 521.0, 325.1, 249.7], [0.2312, -0.7849, -0.0033, -0.0001, 0.9172]),
+    (["freiburg3", "fr3"], [535.4, 539.2, 320.1, 247.6], [0.0; 5]),
+];
+/// Size of their images, px.
+const KNOWN_SIZE: [usize; 2] = [640, 480];
+
+/// Reads the recording in a folder.
+///
+/// `camera`: its colour camera; `None`: the known one. `camera_from_vehicle`: vehicle axes into those of the colour
+/// camera; `None`: the vehicle is where the camera is, x forward, y left, z up.
+///
+/// # Errors
+/// `rgb.txt` is missing, not one of its images is there, or nothing tells the camera; or a list or the truth is malformed
+/// or of another clock. What lists name and is not there, and depth maps of no image, are counted in its remarks.
+pub fn load_tum_rgbd(
+    folder: &Path,
+    name: &str,
+    camera: Option<&CameraConfig>,
+    camera_from_vehicle: Option<&Pose>,
+) -> Result<Recording> {
+    let [colour_file, depth_file, truth_file] =
+        ["rgb.txt", "depth.txt", "groundtruth.txt"].map(|name| folder.join(name));
+    if !colour_file.is_file() {
+        let expected = "the list of its images: a time in seconds and the name of a file a line";
+        return Err(Error::malformed(&colour_file, Place::Whole, "no such file", expected));
+    }
+    let colour = TimeList::load(&colour_file)?;
+    let mut remarks: Vec<String> = colour.absent("images").into_iter().collect();
+    let present = colour.files.iter().enumerate().filter(|(_, file)| colour.is_present(file));
+    let images: FrameFiles = present.map(|(frame, file)| (frame, file.path.clone())).collect();
+    if images.is_empty() {
+        let found = format!("{} images, none of which is there", colour.files.len());
+        return Err(Error::malformed(&colour_file, Place::Whole, found, "names of files below its folder"));
+    }
+    let times: BTreeMap<usize, Time> = colour.files.iter().map(|file| file.time).enumerate().collect();
+    let size = size_of_first(images.values())?;
+    let lens = lens_of(name, camera, size)?;
+    let (rectified, undistortion) = Undistortion::of(&lens).ok_or_else(|| no_rectified(name))?;
+    let camera_from_vehicle = camera_from_vehicle.copied().unwrap_or_else(camera_axes_from_vehicle);
+    let calibration = Calibration {
+        camera: rectified,
+        camera_from_camera0: Pose::identity(),
+        camera_from_velodyne: camera_from_vehicle,
+        camera_from_vehicle,
+        right_from_left: None,
+    };
+    let depth = match depth_file.is_file() {
+        true => depth_of_frames(&TimeList::load(&depth_file)?, &depth_file, &times, &mut remarks)?,
+        false => {
+            remarks.push(format!("{}: not there; it brings no depth", depth_file.display()));
+            FrameFiles::new()
+        }
+    };
+    let poses = match truth_file.is_file() {
+        true => parse_tum_trajectory(&read_text(&truth_file)?, &truth_file, &times, LARGEST_DISTANCE_S)?,
+        false => {
+            remarks.push(format!("{}: not there; it brings no true poses", truth_file.display()));
+            BTreeMap::new()
+        }
+    };
+    let of_vehicle = |(frame, world_from_camera): (usize, Pose)| (frame, world_from_camera * camera_from_vehicle);
+    Ok(Recording {
+        images,
+        depth,
+        depth_steps_per_metre: STEPS_PER_METRE,
+        lens: undistortion,
+        poses: poses.into_iter().map(of_vehicle).collect(),
+        times,
+        remarks,
+        sources: vec![colour_file, depth_file, truth_file],
+        ..Recording::new(Layout::TumRgbd, name, calibration)
+    })
+}
+
+/// The depth map nearest in time to each frame.
+fn depth_of_frames(
+    list: &TimeList,
+    path: &Path,
+    times: &BTreeMap<usize, Time>,
+    remarks: &mut Vec<String>,
+) -> Result<FrameFiles> {
+    remarks.extend(list.absent("depth maps"));
+    let mut nearest = Association::new(times, LARGEST_DISTANCE_S);
+    list.files.iter().enumerate().for_each(|(index, file)| nearest.offer(file.time, index));
+    let span = nearest.span();
+    let nearest = nearest.into_nearest();
+    let (Some([first, last]), Some([begin, end])) = (list.span(), span) else { return Ok(FrameFiles::new()) };
+    if nearest.is_empty() {
+        let expected = format!("times of images, {begin} to {end}, to {LARGEST_DISTANCE_S} s: those of one clock");
+        let found = format!("{} depth maps, {first} to {last} s", list.files.len());
+        return Err(Error::malformed(path, Place::Whole, found, expected));
+    }
+    let alone = list.files.len() - nearest.len();
+    if alone > 0 {
+        let (path, all) = (path.display(), list.files.len());
+        remarks.push(format!(
+            "{path}: {alone} of its {all} depth maps are of no image: none is nearer than {LARGEST_DISTANCE_S} s, or another map is"
+        ));
+    }
+    let files = nearest.into_iter().map(|(frame, index)| (frame, &list.files[index]));
+    Ok(files.filter(|(_, file)| list.is_present(file)).map(|(frame, file)| (frame, file.path.clone())).collect())
+}
+
+/// The camera with its distortion: the configuration's, or that of the benchmark which the name tells.
+fn lens_of(name: &str, camera: Option<&CameraConfig>, [width, height]: [usize; 2]) -> Result<Lens> {
+    let (intrinsics, distortion) = match camera {
+        Some(camera) => {
+            if [camera.width, camera.height] != [width, height] {
+                return Err(Error::config(
+                    "data.camera",
+                    format!(
+                        "is of images of {}x{} pixels, and those of `{name}` have {width}x{height}; give its own as `camera` beside its `drive`",
+                        camera.width, camera.height
+                    ),
+                ));
+            }
+            let mut distortion = [0.0; 5];
+            distortion.iter_mut().zip(&camera.distortion).for_each(|(place, value)| *place = *value);
+            ([camera.fx, camera.fy, camera.cx, camera.cy], distortion)
+        }
+        None => {
+            let lower = name.to_lowercase();
+            let known = KNOWN.iter().find(|(names, ..)| names.iter().any(|known| lower.contains(known)));
+            let Some((_, intrinsics, distortion)) = known else {
+                return Err(Error::config(
+                    "data.camera",
+                    format!(
+                        "nothing tells the camera of `{name}`, whose name is none of fr1, fr2, fr3; give data.camera = {{ width, height, fx, fy, cx, cy, distortion }}, px, or `camera` beside its `drive`"
+                    ),
+                ));
+            };
+            if [width, height] != KNOWN_SIZE {
+                return Err(Error::config(
+                    "data.camera",
+                    format!(
+                        "the known camera of `{name}` has images of 640x480 pixels, and these have {width}x{height}; give data.camera"
+                    ),
+                ));
+            }
+            (*intrinsics, *distortion)
+        }
+    };
+    let [fx, fy, cx, cy] = intrinsics;
+    let camera = Pinhole { fx, fy, cx, cy, width, height };
+    camera
+        .require_centre()
+        .map_err(|found| Error::config("data.camera", format!("`{name}`: {found}; expected {OWN_INTRINSICS}")))?;
+    Ok(Lens { camera, distortion })
+}
+
+fn no_rectified(name: &str) -> Error {
+    let problem = format!("`{name}`: by this distortion different rays meet in one pixel; is it k1 k2 p1 p2 k3?");
+    Error::config("data.camera.distortion", problem)
+}
