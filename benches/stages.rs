@@ -1,4 +1,4 @@
-//! Time of each stage: render, decode and resize, undistort, warp, prediction, loading, training step, and the whole
+//! Time of each stage: render, decode and resize, undistort, open a data set, warp, prediction, loading, training step, and the whole
 //! training loop beside its bare step. `cargo bench`; sizes below are those of configs/kitti_sample.toml.
 
 mod rendered;
@@ -255,6 +255,44 @@ fn undistort(criterion: &mut Criterion) {
     });
 }
 
+/// A data set of 20,000 pairs as it is opened: a TUM RGB-D recording, its lists joined by time.
+fn open(criterion: &mut Criterion) {
+    const FRAMES: usize = 20_001;
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let long = folder.path().join("long");
+    let image = image::DynamicImage::ImageRgb8(image::RgbImage::new(64, 48));
+    let [mut rgb, mut depth, mut truth] = [const { String::new() }; 3];
+    for kind in ["rgb", "depth"] {
+        std::fs::create_dir_all(long.join(kind)).expect("a folder");
+    }
+    let mut png = std::io::Cursor::new(Vec::new());
+    image.write_to(&mut png, image::ImageFormat::Png).expect("an image");
+    for frame in 0..FRAMES {
+        let time = 1.3e9 + frame as f64 / 30.0;
+        for (kind, list) in [("rgb", &mut rgb), ("depth", &mut depth)] {
+            let name = format!("{kind}/{time:.6}.png");
+            // What is in them is read when they are used.
+            std::fs::write(long.join(&name), png.get_ref()).expect("an image file");
+            list.push_str(&format!("{time:.6} {name}\n"));
+        }
+        truth.push_str(&format!("{time:.6} {:.6} 0 0 0 0 0 1\n", frame as f64 * 0.01));
+    }
+    for (name, text) in [("rgb.txt", rgb), ("depth.txt", depth), ("groundtruth.txt", truth)] {
+        std::fs::write(long.join(name), text).expect("a list");
+    }
+    let path = folder.path().join("config.toml");
+    let text = "name = \"long\"\n[data]\nroot = \".\"\ncamera = { width = 64, height = 48, fx = 60, fy = 60, cx = 32, cy = 24 }\n\
+                train = [{ drive = \"long\" }]\ntest = []\n[depth]\nsource = \"recording\"\n\
+                [[systems]]\nname = \"truth\"\nshare = 1.0\nsource = \"truth\"\n";
+    std::fs::write(&path, text).expect("a configuration");
+    let config = Config::load(&path, &[]).expect("a configuration");
+    let mut group = criterion.benchmark_group("open");
+    group.sample_size(10);
+    group.bench_function(BenchmarkId::new("TUM RGB-D", "20,000 pairs"), |bencher| {
+        bencher.iter(|| black_box(Dataset::load(&config.pairs(), PairScope::Images).expect("a data set")));
+    });
+}
+
 /// The whole loop on the real sample, beside the bare step on one fixed micro-batch: how well loading
 /// keeps the network fed. Skipped, and said so, when the sample is not there.
 fn training_loop(criterion: &mut Criterion) {
@@ -339,5 +377,5 @@ fn render(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(stages, render, decode, undistort, warp, alignment, forward, load, training_step, training_loop);
+criterion_group!(stages, render, decode, undistort, open, warp, alignment, forward, load, training_step, training_loop);
 criterion_main!(stages);

@@ -27,7 +27,7 @@ pub struct InitArguments {
 }
 
 /// Paths as in the repository, with what is in them.
-const FILES: [(&str, &str); 8] = [
+const FILES: [(&str, &str); 10] = [
     ("configs/synthetic.toml", include_str!("../../configs/synthetic.toml")),
     ("configs/synthetic_large.toml", include_str!("../../configs/synthetic_large.toml")),
     ("configs/synthetic_depth.toml", include_str!("../../configs/synthetic_depth.toml")),
@@ -35,6 +35,8 @@ const FILES: [(&str, &str); 8] = [
     ("configs/kitti.toml", include_str!("../../configs/kitti.toml")),
     ("configs/kitti_sample.toml", include_str!("../../configs/kitti_sample.toml")),
     ("configs/kitti_sample_depth.toml", include_str!("../../configs/kitti_sample_depth.toml")),
+    ("configs/kitti_03.toml", include_str!("../../configs/kitti_03.toml")),
+    ("configs/redkitchen.toml", include_str!("../../configs/redkitchen.toml")),
     ("data_scripts/download_kitti.sh", include_str!("../../data_scripts/download_kitti.sh")),
 ];
 

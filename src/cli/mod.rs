@@ -10,6 +10,7 @@ mod exit_codes;
 mod fuse;
 mod init;
 mod inspect;
+mod manifest;
 mod manual;
 mod output;
 mod overrides;
@@ -82,6 +83,8 @@ enum Command {
     Fuse(fuse::FuseArguments),
     /// Show what a configuration finds: drives, frames, pairs, systems, depth, problems
     Inspect(inspect::InspectArguments),
+    /// List the pairs of recordings in any layout as a manifest
+    Manifest(manifest::ManifestArguments),
     /// Make the depth maps of an experiment by a network, or judge any depth against LiDAR
     Depth(depth::DepthArguments),
     /// Train a depth network on images and the true motion between them
@@ -144,6 +147,7 @@ fn dispatch(arguments: Arguments) -> anyhow::Result<u8> {
         Command::Predict(arguments) => predict::run(&arguments, &terminal),
         Command::Fuse(arguments) => fuse::run(&arguments, &terminal),
         Command::Inspect(arguments) => inspect::run(&arguments),
+        Command::Manifest(arguments) => manifest::run(&arguments, &terminal),
         Command::Depth(arguments) => depth::run(&arguments, &terminal),
         Command::TrainDepth(arguments) => train_depth::run(&arguments, &terminal),
         Command::Report(arguments) => report::run(&arguments, &terminal),

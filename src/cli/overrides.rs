@@ -72,10 +72,11 @@ impl Overrides {
 
 /// Keys of a run's configuration that count where other data take the place of its own: how depth is made, and how it is
 /// read and predicted.
-const KEYS_FOR_OTHER_DATA: [&str; 11] = [
+const KEYS_FOR_OTHER_DATA: [&str; 12] = [
     "depth",
     "device",
-    "data.camera_from_vehicle",
+    "data.camera",
+    "data.gap",
     "data.max_bad_fraction",
     "data.cache_mb",
     "training.batch",

@@ -34,5 +34,5 @@ pub use precompute::{FrameId, PrecomputeSummary, Present, precompute};
 pub use scale::{ScaleRule, ScaleScope};
 pub use scores::DepthScores;
 pub use settings::{DepthConfig, NetworkDepthConfig};
-pub(crate) use source::depth_file;
+pub(crate) use source::{depth_file, map_file};
 pub use source::{has_depth, load_depth, native_depth};

@@ -30,6 +30,14 @@ pub(crate) fn depth_file(config: &DepthConfig, drive: &Recording, frame: usize, 
     }
 }
 
+/// The file that holds a frame's depth, whoever made it.
+pub(crate) fn map_file(config: &DepthConfig, drive: &Recording, frame: usize, root: &Path) -> Option<PathBuf> {
+    match config {
+        DepthConfig::Monodepth2(config) => Some(DepthCache::of(config).map_path(drive, frame)),
+        other => depth_file(other, drive, frame, root),
+    }
+}
+
 /// Depth of a frame as seen by `camera`, the colour camera at the network's size; `image` is the frame at that size.
 ///
 /// # Errors

@@ -25,7 +25,7 @@ pub struct Coverage {
     pub right_images: usize,
     /// Frames with a LiDAR scan.
     pub scans: usize,
-    /// Neighbouring frames that both have a true pose.
+    /// Pairs of frames, as far apart as asked for, that both have a true pose.
     pub pose_pairs: usize,
     /// Of those, pairs whose two images exist.
     pub image_pairs: usize,

@@ -8,6 +8,7 @@ mod coverage;
 mod dataset;
 mod generated;
 mod loader;
+mod manifest;
 mod pair;
 mod pairing;
 mod reader;
@@ -18,6 +19,7 @@ pub use batch::{EvidenceBatch, ImageBatch, Images, PairBatch, PairNumbers, Right
 pub use coverage::{Coverage, FrameSpan};
 pub use dataset::Dataset;
 pub use loader::{BatchLoader, Choice, LoadedBatch, Loading, Request};
+pub use manifest::manifest_of;
 pub use pair::{Pair, PairId, PairScope};
 pub(crate) use reader::SHOWS_NOTHING;
 pub use reader::{BadFrame, PairReader, PairSample, RightImages};

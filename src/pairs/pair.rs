@@ -39,6 +39,11 @@ impl Pair {
         }
     }
 
+    /// True `ⁱTᵢ₊₁`, axes of the camera, m; where the truth is known.
+    pub fn true_source_from_target(&self) -> Pose {
+        self.wrong_by(&Tangent::zeros())
+    }
+
     /// The pose that a measurement with this error would have: `exp(e) exp(−e₀) T̂₀`.
     pub(super) fn wrong_by(&self, error: &Tangent) -> Pose {
         let change = Pose::exp(error) * Pose::exp(&-self.error);

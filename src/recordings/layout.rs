@@ -27,6 +27,16 @@ impl Layout {
         }
     }
 
+    /// Whether it says nothing of the camera, which must be known otherwise.
+    pub(crate) fn takes_camera(self) -> bool {
+        self == Self::TumRgbd
+    }
+
+    /// Whether trajectories of such recordings are in TUM's form, where nothing else is said.
+    pub(crate) fn has_tum_trajectories(self) -> bool {
+        self == Self::TumRgbd
+    }
+
     /// Where its images are, for messages.
     pub(super) fn images(self) -> &'static str {
         match self {

@@ -5,11 +5,13 @@
 //! | `system` | which system measured |
 //! | `sequence` | which recording; optional, default `sequence` |
 //! | `source`, `target` | frame numbers i and i + 1 (or any later one), whole numbers |
-//! | `source_image`, `target_image` | PNG or JPEG, rectified; paths below the manifest's folder |
+//! | `source_image`, `target_image` | PNG or JPEG; paths below the manifest's folder |
 //! | `fx`, `fy`, `cx`, `cy` | intrinsics, px, pixel centres at integer coordinates; the same in a sequence |
 //! | `x`, `y`, `z`, `qx`, `qy`, `qz`, `qw` | measured `ⁱT̂ᵢ₊₁`, m and unit quaternion |
 //! | `true_x` … `true_qw` | the true one; optional, needed to train and to judge |
 //! | `depth` | depth of the target image, 16-bit PNG, metres x 256; optional |
+//! | `depth_factor` | steps of a metre in `depth`; optional, default 256; the same in a sequence |
+//! | `k1`, `k2`, `p1`, `p2`, `k3` | radial-tangential distortion of images and depth as stored, OpenCV's order; optional: they have none; the same in a sequence |
 //! | `source_time`, `target_time` | s; optional |
 //!
 //! A manifest is read as drives are: each sequence becomes a [`Recording`].
@@ -17,17 +19,16 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use nalgebra::Vector3;
-
 use super::calibration::Calibration;
 use super::image::size_of_first;
 use super::layout::Layout;
+use super::manifest_row::{Columns, ManifestCamera, ManifestRow};
 use super::recording::{FrameFiles, Listed, Recording};
-use super::trajectory::{LARGEST_MOTION_M, pose_from_quaternion};
+use super::undistortion::Undistortion;
 use crate::error::{Error, Place, Result, excerpt};
-use crate::files::{Form, Header, Row, Table, is_plain, read_text};
-use crate::geometry::{OWN_INTRINSICS, Pinhole, Pose};
-use crate::time::{EXPECTED_SECONDS, Time};
+use crate::files::{Form, Row, Table, is_plain, read_text};
+use crate::geometry::{Lens, OWN_INTRINSICS, Pinhole, Pose};
+use crate::time::Time;
 
 /// Largest difference of two statements of one true pose, m and rad.
 const SAME_TRUTH: f64 = 1e-6;
@@ -41,97 +42,12 @@ pub struct Manifest {
 
 #[derive(Clone, Debug)]
 struct Sequence {
-    intrinsics: [f64; 4],
+    /// fx fy cx cy, k1 k2 p1 p2 k3, and steps of a metre in depth maps.
+    camera: ManifestCamera,
     images: FrameFiles,
     depth: FrameFiles,
     times: BTreeMap<usize, Time>,
     listed: Listed,
-}
-
-/// Its columns: those that must be there, the true pose, and what else may be.
-const REQUIRED: [&str; 16] = [
-    "system",
-    "source",
-    "target",
-    "source_image",
-    "target_image",
-    "fx",
-    "fy",
-    "cx",
-    "cy",
-    "x",
-    "y",
-    "z",
-    "qx",
-    "qy",
-    "qz",
-    "qw",
-];
-const TRUE_POSE: [&str; 7] = ["true_x", "true_y", "true_z", "true_qx", "true_qy", "true_qz", "true_qw"];
-const OPTIONAL: [&str; 4] = ["sequence", "depth", "source_time", "target_time"];
-
-/// A row, its numbers read.
-struct Measured<'a> {
-    system: &'a str,
-    sequence: &'a str,
-    /// Source and target.
-    frames: [usize; 2],
-    images: [&'a str; 2],
-    intrinsics: [f64; 4],
-    source_from_target: Pose,
-    true_source_from_target: Option<Pose>,
-    depth: Option<&'a str>,
-    times: [Option<Time>; 2],
-}
-
-/// Where its columns are.
-struct Columns {
-    required: Vec<usize>,
-    true_pose: Option<Vec<usize>>,
-    optional: [Option<usize>; 4],
-}
-
-impl Columns {
-    fn find(header: &Header) -> Result<Self> {
-        let optional = OPTIONAL.map(|name| header.position(name));
-        Ok(Self { required: header.require(&REQUIRED)?, true_pose: header.group(&TRUE_POSE)?, optional })
-    }
-
-    fn read<'t>(&self, row: &Row<'t>) -> Result<Measured<'t>> {
-        let &[system, source, target, source_image, target_image, ref numbers @ ..] = self.required.as_slice() else {
-            unreachable!("all of them are there")
-        };
-        let [sequence, depth, source_time, target_time] =
-            self.optional.map(|column| column.filter(|&column| !row.is_empty(column)));
-        let true_pose = self.true_pose.as_ref().map(|columns| row.all_or_none(columns)).transpose()?.flatten();
-        let time = |column: Option<usize>| {
-            let read =
-                |column| Time::parse_seconds(row.cell(column)).ok_or_else(|| row.broken_cell(column, EXPECTED_SECONDS));
-            column.map(read).transpose()
-        };
-        Ok(Measured {
-            system: row.text(system)?,
-            sequence: sequence.map_or("sequence", |column| row.cell(column)),
-            frames: [row.frame(source)?, row.frame(target)?],
-            images: [row.text(source_image)?, row.text(target_image)?],
-            intrinsics: row.numbers(&numbers[..4])?,
-            source_from_target: pose_of(row, row.numbers(&numbers[4..])?)?,
-            true_source_from_target: true_pose.map(|numbers| pose_of(row, numbers)).transpose()?,
-            depth: depth.map(|column| row.cell(column)),
-            times: [time(source_time)?, time(target_time)?],
-        })
-    }
-}
-
-fn pose_of(row: &Row, [x, y, z, quaternion @ ..]: [f64; 7]) -> Result<Pose> {
-    let pose = pose_from_quaternion(Vector3::new(x, y, z), quaternion, row.path(), &row.place())?;
-    match pose.translation.norm() <= LARGEST_MOTION_M {
-        true => Ok(pose),
-        false => {
-            Err(row
-                .broken(format!("a motion of {:.1e} m", pose.translation.norm()), "at most 10 km between two frames"))
-        }
-    }
 }
 
 impl Manifest {
@@ -142,7 +58,7 @@ impl Manifest {
     /// length, frames do not follow one another, a measurement stands there twice, or two rows contradict each other.
     pub fn load(path: &Path) -> Result<Self> {
         let text = read_text(path)?;
-        let columns = [REQUIRED.as_slice(), &TRUE_POSE, &OPTIONAL].concat();
+        let columns = Columns::names();
         let form = Form { columns: &columns, widths: &[], described: "the columns of docs/own_data.md" };
         let mut table = Table::open(&text, path, &form)?;
         let layout = Columns::find(&table.header)?;
@@ -197,11 +113,15 @@ impl Manifest {
             )
         })?;
         let [width, height] = size_of_first(sequence.images.values())?;
-        let [fx, fy, cx, cy] = sequence.intrinsics;
+        let ManifestCamera { intrinsics: [fx, fy, cx, cy], distortion, depth_factor } = sequence.camera;
+        let malformed = |found: String, expected: &str| {
+            Error::malformed(&self.path, Place::Field(name.to_owned()), found, expected)
+        };
         let camera = Pinhole { fx, fy, cx, cy, width, height };
-        camera
-            .require_centre()
-            .map_err(|found| Error::malformed(&self.path, Place::Field(name.to_owned()), found, OWN_INTRINSICS))?;
+        camera.require_centre().map_err(|found| malformed(found, OWN_INTRINSICS))?;
+        let Some((camera, lens)) = Undistortion::of(&Lens { camera, distortion }) else {
+            return Err(malformed(format!("distortion {distortion:?}, by which rays cross"), "k1 k2 p1 p2 k3"));
+        };
         let calibration = Calibration {
             camera,
             camera_from_camera0: Pose::identity(),
@@ -212,6 +132,8 @@ impl Manifest {
         Ok(Recording {
             images: sequence.images.clone(),
             depth: sequence.depth.clone(),
+            depth_steps_per_metre: depth_factor as f32,
+            lens,
             times: sequence.times.clone(),
             listed: Some(sequence.listed.clone()),
             sources: vec![self.path.clone()],
@@ -219,7 +141,7 @@ impl Manifest {
         })
     }
 
-    fn add(&mut self, measured: &Measured, folder: &Path, row: &Row) -> Result<()> {
+    fn add(&mut self, measured: &ManifestRow, folder: &Path, row: &Row) -> Result<()> {
         for (column, name) in [("system", measured.system), ("sequence", measured.sequence)] {
             if !is_plain(name) {
                 let expected = "letters, digits, - and _, for it names files and columns";
@@ -230,20 +152,17 @@ impl Manifest {
         if target <= source {
             return Err(row.broken(format!("source {source}, target {target}"), "a target frame after its source"));
         }
-        let intrinsics = measured.intrinsics;
-        if intrinsics[0] <= 0.0 || intrinsics[1] <= 0.0 {
-            return Err(row.broken(format!("intrinsics {intrinsics:?}"), "fx and fy above zero"));
-        }
+        let camera = measured.camera;
         let sequence = self.sequences.entry(measured.sequence.to_owned()).or_insert_with(|| Sequence {
-            intrinsics,
+            camera,
             images: FrameFiles::new(),
             times: BTreeMap::new(),
             depth: FrameFiles::new(),
             listed: Listed::default(),
         });
-        if sequence.intrinsics != intrinsics {
-            let expected = format!("{:?} as in the rows of this sequence before", sequence.intrinsics);
-            return Err(row.broken(format!("intrinsics {intrinsics:?}"), &expected));
+        if sequence.camera != camera {
+            let expected = format!("{} as in the rows of this sequence before", sequence.camera);
+            return Err(row.broken(camera.to_string(), &expected));
         }
         for (frame, image) in pair.into_iter().zip(measured.images) {
             same_file(&mut sequence.images, frame, folder, image).map_err(|known| {

@@ -39,6 +39,15 @@ impl Layout {
         }
     }
 
+    /// The recording of this layout in a folder.
+    fn locate(self, folder: &Path) -> Option<Located> {
+        let name = folder.file_name()?.to_str()?.to_owned();
+        let above = if matches!(self, Self::KittiRaw | Self::KittiOdometry) { folder.parent()? } else { folder };
+        let root = above.parent()?.to_owned();
+        let is_there = self.folder(&root, &name).as_deref() == Some(folder) && self.fits(folder);
+        is_there.then_some(Located { root, name, layout: self })
+    }
+
     /// Whether something of this layout is in a folder, complete or not.
     fn fits(self, folder: &Path) -> bool {
         match self {
@@ -59,7 +68,7 @@ pub fn open_recording(root: &Path, name: &str, opening: &Opening) -> Result<Reco
         return Err(Error::config("data", problem));
     }
     let layout = opening.layout.map_or_else(|| detect(root, name), Ok)?;
-    let takes_camera = layout == Layout::TumRgbd;
+    let takes_camera = layout.takes_camera();
     if opening.camera.is_some() && !takes_camera {
         let problem = format!("{name}: a recording in the layout `{}` brings its own calibration", layout.name());
         return Err(Error::config("data.camera", problem));
@@ -76,6 +85,47 @@ pub fn open_recording(root: &Path, name: &str, opening: &Opening) -> Result<Reco
             Err(Error::config("data.layout", "`manifest` needs the file: data.manifest = \"pairs.csv\""))
         }
     }
+}
+
+/// Where a recording is, by its folder.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Located {
+    /// The folder that `data.root` would name.
+    pub root: PathBuf,
+    /// Its name there.
+    pub name: String,
+    /// Its layout.
+    pub layout: Layout,
+}
+
+/// Finds what recording lies in a folder: by the folder's name as it is called, for a link has its own; by what it leads
+/// to where that is no recording.
+///
+/// # Errors
+/// It is no recording, or could be several.
+pub fn locate_recording(folder: &Path) -> Result<Located> {
+    let resolved = folder.canonicalize().map_err(Error::io("read", folder))?;
+    let called = std::path::absolute(folder).map_err(Error::io("read", folder))?;
+    for path in [&called, &resolved] {
+        let found: Vec<Located> = LAYOUTS.into_iter().filter_map(|layout| layout.locate(path)).collect();
+        match found.as_slice() {
+            [] => {}
+            [located] => return Ok(located.clone()),
+            several => {
+                let names: Vec<&str> = several.iter().map(|located| located.layout.name()).collect();
+                let folder = folder.display();
+                return Err(Error::Data(format!(
+                    "{folder}: can be read in {} layouts ({}); name the recording in a configuration with data.layout",
+                    names.len(),
+                    names.join(", ")
+                )));
+            }
+        }
+    }
+    Err(Error::Data(format!(
+        "{}: no recording; expected ROOT/DATE/DRIVE of KITTI raw, such as kitti/2011_09_30/2011_09_30_drive_0034_sync, ROOT/sequences/NN of KITTI odometry, or a folder with rgb.txt (TUM RGB-D)",
+        folder.display()
+    )))
 }
 
 fn detect(root: &Path, name: &str) -> Result<Layout> {

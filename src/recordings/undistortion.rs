@@ -25,6 +25,7 @@ const NOWHERE: u32 = u32::MAX;
 /// result is black and its depth unknown.
 #[derive(Clone, Debug)]
 pub struct Undistortion {
+    lens: Lens,
     camera: Pinhole,
     /// Of the distorted image, px.
     width: usize,
@@ -72,7 +73,12 @@ impl Undistortion {
             .flat_map(|row| (0..rectified.width).map(move |column| (column, row)))
             .map(|(column, row)| place(column, row))
             .collect();
-        Self { camera: rectified, width, height, places }
+        Self { lens: *lens, camera: rectified, width, height, places }
+    }
+
+    /// The lens whose distortion it takes out.
+    pub fn lens(&self) -> &Lens {
+        &self.lens
     }
 
     /// The camera of what comes out.

@@ -171,7 +171,7 @@ fn a_link_and_capital_letters_have_their_own_names() {
     std::fs::rename(store.join("annexed"), &drive).unwrap();
     symlink(&drive, &shortcut).unwrap();
     assert!(stdout(predict_drive(&shortcut, &linked, &[])).contains(DRIVE));
-    predict_drive(&store, &linked, &[]).assert().code(1).stderr(contains("expected a folder ROOT/DATE/DRIVE"));
+    predict_drive(&store, &linked, &[]).assert().code(1).stderr(contains("expected ROOT/DATE/DRIVE of KITTI raw"));
 }
 
 #[test]

@@ -13,6 +13,7 @@ mod first_steps;
 mod fuse_cli;
 mod images_as_people_have_them;
 mod kitti;
+mod layouts;
 mod monodepth2;
 mod nothing_silent;
 mod oracles;

@@ -17,6 +17,7 @@ use crate::training::Manifest;
 #[command(group(ArgGroup::new("input").args(["drive", "manifest", "config", "stream"])))]
 #[command(after_help = "Examples:
   relcov predict --run checkpoints/kitti --drive kitti/2011_09_30/2011_09_30_drive_0034_sync --measurements vo.txt
+  relcov predict --run checkpoints/redkitchen --drive rgbd/redkitchen --measurements vo.tum
   relcov predict --run checkpoints/robot --manifest pairs.csv --format g2o --out 'graphs/{drive}.g2o'
   relcov predict --run checkpoints/robot --manifest pairs.csv --format ros --floor 1e-6 --frame camera
   relcov predict --run checkpoints/synthetic --out 'predictions/{system}/{drive}.csv'
@@ -31,13 +32,13 @@ pub struct PredictArguments {
     /// Run folder of a trained model
     #[arg(long, value_name = "RUN")]
     pub(super) run: PathBuf,
-    /// A drive in the KITTI raw layout: DATE/DRIVE
+    /// A recording: the folder DATE/DRIVE of KITTI raw, sequences/NN of KITTI odometry, or that of TUM RGB-D or EuRoC
     #[arg(long, value_name = "FOLDER", requires = "measurements")]
     pub(super) drive: Option<PathBuf>,
     /// With --drive: its measured poses
     #[arg(long, value_name = "FILE", requires = "drive", conflicts_with_all = ["manifest", "config", "stream"])]
     pub(super) measurements: Option<PathBuf>,
-    /// With --drive: form of that file [default: relative for .csv, tum for .tum, else kitti]
+    /// With --drive: form of that file [default: relative for .csv, tum for .tum and for recordings of TUM RGB-D and EuRoC, else kitti]
     #[arg(long, value_enum, requires = "drive", value_name = "FORM", conflicts_with_all = ["manifest", "config", "stream"])]
     pub(super) measurement_format: Option<MeasurementFormat>,
     /// Whose motion the measurements describe [default: camera0 of a drive, camera2 of a manifest]

@@ -2,13 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use super::arguments::{BodyArgument, MeasurementFormat, PoseNumbers, PredictArguments};
+use super::arguments::{BodyArgument, MeasurementFormat, PredictArguments};
 use crate::config::Config;
 use crate::depth::DepthConfig;
 use crate::error::{Error, Place, Result};
 use crate::files::extension;
 use crate::pairs::{DataConfig, DriveConfig};
-use crate::recordings::{Manifest, MeasurementFrame};
+use crate::recordings::{Manifest, MeasurementFrame, locate_recording};
 use crate::systems::{RelativeConfig, SystemConfig, SystemSource, TrajectoryConfig, TrajectoryFormat, TruthConfig};
 
 /// The measurements of one drive.
@@ -18,11 +18,12 @@ pub(super) fn of_drive(arguments: &PredictArguments, config: Config, drive: &Pat
         let problem = if path.exists() { "no regular file" } else { "no such file" };
         return Err(Error::Data(format!("--measurements {}: {problem}", path.display())).into());
     }
-    let (root, name) = drive_below_root(drive)?;
+    let located = locate_recording(drive)?;
     let path = std::path::absolute(path).map_err(Error::io("read", path))?;
     let form = arguments.measurement_format.unwrap_or(match extension(&path).as_str() {
         "csv" => MeasurementFormat::Relative,
         "tum" => MeasurementFormat::Tum,
+        _ if located.layout.has_tum_trajectories() => MeasurementFormat::Tum,
         _ => MeasurementFormat::Kitti,
     });
     let frame = arguments.measurement_frame.map_or(MeasurementFrame::Camera0, BodyArgument::frame);
@@ -33,28 +34,19 @@ pub(super) fn of_drive(arguments: &PredictArguments, config: Config, drive: &Pat
         MeasurementFormat::Tum => trajectory(TrajectoryFormat::Tum),
         MeasurementFormat::Relative => SystemSource::Relative(RelativeConfig { path: path.clone(), frame }),
     };
+    let takes = |key: &str| arguments.changes(key) || located.layout.takes_camera();
     Ok(Config {
-        data: only_test(&config.data, root, None, None, vec![DriveConfig { drive: name, frames: None, camera: None }]),
+        data: DataConfig {
+            root: located.root,
+            layout: Some(located.layout),
+            // What a run says of its camera is of no other kind of recording.
+            camera: config.data.camera.clone().filter(|_| takes("data.camera")),
+            camera_from_vehicle: config.data.camera_from_vehicle.filter(|_| takes("data.camera_from_vehicle")),
+            ..only_test(arguments, &config.data, vec![DriveConfig { drive: located.name, frames: None, camera: None }])
+        },
         truth: TruthConfig::Recording {},
         systems: vec![SystemConfig { name: system, share: 1.0, source }],
         ..config
-    })
-}
-
-/// The root above a drive's folder, and its name: as it is called, for a link has its own name; as what it leads to where
-/// that is no drive's.
-fn drive_below_root(folder: &Path) -> Result<(PathBuf, String)> {
-    let split = |path: &Path| {
-        let (name, root) = (path.file_name()?.to_str()?.to_owned(), path.parent()?.parent()?.to_owned());
-        (root.join(name.get(..10)?).join(&name) == path && path.is_dir()).then_some((root, name))
-    };
-    let resolved = folder.canonicalize().map_err(Error::io("read", folder))?;
-    let called = std::path::absolute(folder).map_err(Error::io("read", folder))?;
-    split(&called).or_else(|| split(&resolved)).ok_or_else(|| {
-        Error::Data(format!(
-            "--drive {}: expected a folder ROOT/DATE/DRIVE in the KITTI raw layout, such as kitti/2011_09_30/2011_09_30_drive_0034_sync",
-            folder.display()
-        ))
     })
 }
 
@@ -65,8 +57,11 @@ pub(super) fn of_manifest(arguments: &PredictArguments, config: Config, path: &P
     let system =
         |name: &str| SystemConfig { name: name.to_owned(), share: 1.0, source: SystemSource::Manifest { frame } };
     let drives = manifest.sequences().map(|name| DriveConfig { drive: name.to_owned(), frames: None, camera: None });
-    let data =
-        only_test(&config.data, PathBuf::new(), Some(path.to_owned()), arguments.camera_from_vehicle, drives.collect());
+    let data = DataConfig {
+        manifest: Some(path.to_owned()),
+        camera_from_vehicle: arguments.camera_from_vehicle.or(config.data.camera_from_vehicle),
+        ..only_test(arguments, &config.data, drives.collect())
+    };
     let depth = match &config.depth {
         _ if arguments.changes("depth.") => config.depth.clone(),
         _ if manifest.has_depth() => DepthConfig::Manifest {},
@@ -97,19 +92,15 @@ pub(super) fn of_manifest(arguments: &PredictArguments, config: Config, path: &P
     Ok(Config { data, depth, truth: TruthConfig::Manifest { frame }, systems, ..config })
 }
 
-/// The data of a configuration replaced by drives to predict for.
-fn only_test(
-    data: &DataConfig,
-    root: PathBuf,
-    manifest: Option<PathBuf>,
-    camera_from_vehicle: Option<PoseNumbers>,
-    test: Vec<DriveConfig>,
-) -> DataConfig {
-    let camera_from_vehicle = camera_from_vehicle.or(data.camera_from_vehicle).filter(|_| manifest.is_some());
+/// The data of a configuration replaced by drives to predict for, wherever they lie.
+fn only_test(arguments: &PredictArguments, data: &DataConfig, test: Vec<DriveConfig>) -> DataConfig {
     DataConfig {
-        root,
-        manifest,
-        camera_from_vehicle,
+        root: PathBuf::new(),
+        manifest: None,
+        layout: None,
+        camera: None,
+        // What was measured is what the file lists, unless something else is asked for.
+        gap: if arguments.changes("data.gap") { data.gap.clone() } else { Vec::new() },
         synthetic: None,
         train: Vec::new(),
         validation: Vec::new(),

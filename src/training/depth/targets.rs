@@ -126,12 +126,15 @@ fn request(targets: &[usize]) -> Request {
 
 /// For each frame whose two neighbours are there: the pairs of which it is the target.
 fn both_neighbours(split: &Split) -> Vec<Pair> {
-    let by_source: BTreeMap<(usize, usize), &Pair> =
-        split.pairs.iter().map(|pair| ((pair.id.drive, pair.id.source), pair)).collect();
+    let mut by_source: BTreeMap<(usize, usize), Vec<&Pair>> = BTreeMap::new();
+    split.pairs.iter().for_each(|pair| by_source.entry((pair.id.drive, pair.id.source)).or_default().push(pair));
+    let step = |pair: &Pair| pair.id.target - pair.id.source;
     let mut pairs = Vec::new();
     for before in &split.pairs {
         let PairId { drive, target, .. } = before.id;
-        let Some(after) = by_source.get(&(drive, target)) else { continue };
+        // Where pairs are several numbers of frames apart: as far to one side as to the other.
+        let afters = by_source.get(&(drive, target)).into_iter().flatten();
+        let Some(after) = afters.min_by_key(|after| step(after).abs_diff(step(before))) else { continue };
         pairs.push(before.clone());
         pairs.push(Pair {
             id: PairId { drive, source: after.id.target, target },
