@@ -1,6 +1,6 @@
 //! `relcov inspect`.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -119,7 +119,9 @@ fn with_maps_that_are_there(config: &Config) -> (Config, Option<String>) {
 
 fn describe(config: &Config, dataset: &Dataset, depth_problem: Option<String>) -> String {
     let place = config.data.manifest.as_ref().unwrap_or(&dataset.root);
-    let mut text = format!("data: {}\n{}\n\n", place.display(), coverage_table(dataset));
+    let layouts: BTreeSet<&str> = dataset.drives.iter().map(|drive| drive.layout.name()).collect();
+    let layouts = layouts.into_iter().collect::<Vec<_>>().join(", ");
+    let mut text = format!("data: {} ({layouts})\n{}\n\n", place.display(), coverage_table(dataset));
     for name in [SplitName::Train, SplitName::Validation, SplitName::Test] {
         text += &format!("{}\n", summary(dataset, name));
     }

@@ -101,7 +101,8 @@ impl Config {
         require(!(listed && layout.is_some_and(|layout| layout != Layout::Manifest)), "data.layout", || {
             "is of recordings below data.root; data.manifest names a manifest, leave one of them out".to_owned()
         })?;
-        require(!(listed && camera.is_some()), "data.camera", || {
+        let told = camera.is_some() || self.cameras_of_drives().any(|(_, camera)| camera.is_some());
+        require(!(listed && told), "data.camera", || {
             "a manifest has its own intrinsics in the columns fx, fy, cx, cy; leave one of them out".to_owned()
         })?;
         require(!(listed && self.model.stereo), "model.stereo", || {

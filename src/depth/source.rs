@@ -80,7 +80,7 @@ pub fn native_depth(
         DepthConfig::Lidar { fill_radius_px } => {
             let path = drive.scans.get(&frame).ok_or_else(|| {
                 Error::Data(format!(
-                    "{}, frame {frame}: no LiDAR scan in velodyne_points/data; choose another depth.source",
+                    "{}, frame {frame}: no LiDAR scan; choose another depth.source",
                     drive.name
                 ))
             })?;

@@ -14,6 +14,7 @@ mod error {
 mod kernels {
     mod activation;
     mod adam;
+    mod border;
     mod buffer;
     mod convolution;
     mod dense;
@@ -24,5 +25,7 @@ mod kernels {
     mod product;
     #[cfg(test)]
     mod reference;
+    mod shape;
+    mod tile;
     mod warp;
 }
