@@ -1,7 +1,7 @@
 //! The plan of the house: which room may use which, and no circle among the files of a room.
 //!
 //! A room is a folder or file right below `src`; it uses another where its code, tests and comments aside, names
-//! `crate::ROOM`. The table is exact: what stands in it is used, what is used stands in it.
+//! `crate::ROOM`, or leads there by `super`. The table is exact: what stands in it is used, what is used stands in it.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -122,7 +122,11 @@ fn rooms_use_those_below_them_alone() {
     let mut used: BTreeMap<String, BTreeMap<String, String>> = BTreeMap::new();
     for (parts, path) in sources() {
         let uses = used.entry(parts[0].clone()).or_default();
-        for name in continuations(&code(&path), "crate::").filter(|name| known.contains(name) && **name != parts[0]) {
+        let code = code(&path);
+        // `super` once for each part of a module's path leads out of all rooms.
+        let outside = "super::".repeat(module(&parts).len());
+        let names = continuations(&code, "crate::").chain(continuations(&code, &outside));
+        for name in names.filter(|name| known.contains(name) && **name != parts[0]) {
             uses.entry(name.to_owned()).or_insert_with(|| path.display().to_string());
         }
     }

@@ -9,9 +9,10 @@ use super::progress::note;
 use super::synth;
 use super::terminal::Terminal;
 use crate::config::Config;
-use crate::error::{Error, Result};
+use crate::depth::DepthConfig;
+use crate::error::Error;
 use crate::files::{extension, require_apart, write_atomically};
-use crate::pairs::{Dataset, PairScope, Split, manifest_of};
+use crate::pairs::{Dataset, PairScope, manifest_of};
 use crate::systems::{SystemSource, measurement_file};
 
 /// Arguments of `relcov manifest`.
@@ -22,7 +23,8 @@ use crate::systems::{SystemSource, measurement_file};
 
 The pairs of recordings in any layout, listed as those of one's own robot are (docs/own_data.md): a row for each
 measurement of each pair, poses in axes of the camera. A configuration with data.manifest = \"pairs.csv\" reads the same
-images, depth maps and poses.")]
+images and poses from it, and the same depth maps where they lie in files. Where vehicle axes are others than the camera's,
+data.camera_from_vehicle says so; what else a manifest cannot say is noted.")]
 pub struct ManifestArguments {
     /// The experiment
     #[arg(long, value_name = "FILE")]
@@ -40,39 +42,53 @@ pub fn run(arguments: &ManifestArguments, terminal: &Terminal) -> anyhow::Result
     }
     let config = arguments.overrides.load(&arguments.config)?;
     synth::make_if_asked(&config, terminal)?;
-    let dataset = pairs_that_are_there(&config, terminal)?;
+    let dataset = Dataset::load(&config.pairs(), PairScope::Measured)?;
     require_apart(
         &arguments.out,
         &files_read(arguments, &config, &dataset).iter().map(PathBuf::as_path).collect::<Vec<_>>(),
     )?;
     let absolute = std::path::absolute(&arguments.out).map_err(Error::io("write", &arguments.out))?;
+    let splits = [&dataset.train, &dataset.validation, &dataset.test];
+    if splits.iter().all(|split| split.pairs.is_empty()) {
+        let problem = "no pair has images, depth and a measured pose; relcov inspect shows what is there";
+        return Err(Error::Data(problem.to_owned()).into());
+    }
     let text = manifest_of(&dataset, &config.depth, absolute.parent().unwrap_or(Path::new("")));
     write_atomically(&arguments.out, text.as_bytes())?;
-    let generated = config.systems.iter().filter(|system| matches!(system.source, SystemSource::Perturbation(_)));
-    for system in generated {
-        note(terminal.quiet, &format!("`{}` is generated; its rows are the first draw", system.name));
-    }
     let rows = text.lines().count() - 1;
     note(terminal.quiet, &format!("{}: {rows} rows", arguments.out.display()));
+    what_is_left_out(&config, &dataset).iter().for_each(|line| note(terminal.quiet, line));
     Ok(())
 }
 
-/// The pairs with images and depth, and with the truth where any is known.
-fn pairs_that_are_there(config: &Config, terminal: &Terminal) -> Result<Dataset> {
-    let count = |dataset: &Dataset| {
-        let pairs = |split: &Split| split.pairs.len();
-        pairs(&dataset.train) + pairs(&dataset.validation) + pairs(&dataset.test)
-    };
-    let judged = Dataset::load(&config.pairs(), PairScope::Images)?;
-    if count(&judged) > 0 {
-        return Ok(judged);
+/// What the manifest does not say, or says in its own way.
+fn what_is_left_out(config: &Config, dataset: &Dataset) -> Vec<String> {
+    let mut lines = Vec::new();
+    for system in &config.systems {
+        if matches!(system.source, SystemSource::Perturbation(_)) {
+            lines.push(format!("`{}` is generated; its rows are the first draw", system.name));
+        }
     }
-    let measured = Dataset::load(&config.pairs(), PairScope::Measured)?;
-    if count(&measured) > 0 {
-        note(terminal.quiet, "no pair has a true pose: the columns true_x … true_qw stay empty");
-        return Ok(measured);
+    let pairs = || [&dataset.train, &dataset.validation, &dataset.test].into_iter().flat_map(|split| &split.pairs);
+    let unjudged = pairs().filter(|pair| !pair.is_judged).count();
+    if unjudged > 0 {
+        lines.push(format!("no true pose of {unjudged} of {} pairs: their true_… stay empty", pairs().count()));
     }
-    Err(Error::Data("no pair has images, depth and a measured pose; relcov inspect shows what is there".to_owned()))
+    let lenses = dataset.drives.iter().any(|drive| drive.lens.is_some());
+    match &config.depth {
+        DepthConfig::GroundPlane { .. } | DepthConfig::Lidar { .. } => lines.push(
+            "this depth lies in no file: the column depth stays empty, and depth.source says what it is made of".to_owned(),
+        ),
+        DepthConfig::Files { .. } | DepthConfig::Monodepth2(_) if lenses => lines.push(
+            "these depth maps are of undistorted images, and the images in the files are distorted: the column depth stays empty where they are"
+                .to_owned(),
+        ),
+        _ => {}
+    }
+    if dataset.drives.iter().any(|drive| !drive.right_images.is_empty()) {
+        lines.push("a manifest has no right images: they are left out".to_owned());
+    }
+    lines
 }
 
 /// All that the manifest is made of.

@@ -9,7 +9,7 @@ use crate::depth::DepthConfig;
 use crate::error::{Error, Place, Result};
 use crate::files::{read_text, sha256_hex};
 use crate::pairs::{DataConfig, default_cache_mb, default_max_bad_fraction};
-use crate::recordings::DATA_ROOT_VARIABLE;
+use crate::recordings::{DATA_ROOT_VARIABLE, MeasurementFrame};
 use crate::schedule::{DepthTrainingConfig, TrainingConfig};
 use crate::systems::{SystemConfig, SystemSource, TruthConfig};
 
@@ -110,8 +110,12 @@ impl Config {
             network.weights = network.weights.file_name().unwrap_or_default().into();
             network.cache = PathBuf::new();
         }
-        // The same in the one layout that both can be asked for in, under the name it had first.
-        let truth = if self.truth == (TruthConfig::Recording {}) { TruthConfig::Oxts {} } else { self.truth.clone() };
+        let truth = match (&self.truth, &self.data.manifest) {
+            // Under the names that the same had first.
+            (TruthConfig::Recording {}, None) => TruthConfig::Oxts {},
+            (TruthConfig::Recording {}, Some(_)) => TruthConfig::Manifest { frame: MeasurementFrame::Camera },
+            (truth, _) => truth.clone(),
+        };
         let experiment = Self {
             truth,
             name: String::new(),
@@ -120,6 +124,8 @@ impl Config {
             data: DataConfig {
                 root: PathBuf::new(),
                 manifest: self.data.manifest.as_ref().map(|_| PathBuf::new()),
+                // However it is read, the pairs have a hash of their own.
+                layout: None,
                 max_bad_fraction: default_max_bad_fraction(),
                 cache_mb: default_cache_mb(),
                 ..self.data.clone()
@@ -137,7 +143,8 @@ impl Config {
             depth_training: DepthTrainingConfig::default(),
             ..self.clone()
         };
-        sha256_hex(experiment.to_toml().as_bytes())
+        let text = experiment.to_toml().replace("[depth]\nsource = \"recording\"", "[depth]\nsource = \"manifest\"");
+        sha256_hex(text.as_bytes())
     }
 
     /// Exact number of pairs of each system in a mini-batch.

@@ -9,7 +9,7 @@ use crate::error::{Error, Place, Result};
 use crate::files::{read_text, utf8_name};
 
 /// Tables whose other keys depend on `source`, and the source they have when they name none.
-const DEFAULT_SOURCES: [(&str, &str); 2] = [("depth", "ground_plane"), ("truth", "oxts")];
+const DEFAULT_SOURCES: [(&str, &str); 2] = [("depth", "ground_plane"), ("truth", "recording")];
 
 /// The key of the file whose settings a configuration takes over.
 const EXTENDS: &str = "extends";

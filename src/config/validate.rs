@@ -246,9 +246,6 @@ impl Config {
                 require(row.is_finite(), "depth.horizon_px", || format!("{row} is no image row"))
             }
             DepthConfig::Lidar { .. } | DepthConfig::Files { .. } | DepthConfig::Recording {} => Ok(()),
-            DepthConfig::Manifest {} => require(self.data.manifest.is_some(), "depth.source", || {
-                "`manifest` needs data.manifest, the file that lists the depth maps".to_owned()
-            }),
             DepthConfig::Monodepth2(NetworkDepthConfig { scale, cache, .. }) => {
                 require(!cache.as_os_str().is_empty(), "depth.cache", || "names no folder".to_owned())?;
                 let factor = if let Some(ScaleRule::Fixed(factor)) = scale { *factor } else { 1.0 };

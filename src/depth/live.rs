@@ -63,7 +63,6 @@ impl LiveDepth {
             DepthConfig::Lidar { .. } => missing("lidar"),
             DepthConfig::Files { .. } => missing("files"),
             DepthConfig::Recording {} => missing("recording"),
-            DepthConfig::Manifest {} => missing("manifest"),
         };
         Self { source }
     }

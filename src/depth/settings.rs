@@ -28,15 +28,16 @@ pub enum DepthConfig {
         #[serde(default = "default_fill_radius_px")]
         fill_radius_px: usize,
     },
-    /// 16-bit PNG files, metres x 256, 0 = unknown.
+    /// 16-bit PNG files, metres x 256, 0 = unknown; of the undistorted image, whose camera `relcov inspect` prints, where
+    /// the recording's images are distorted.
     Files {
         /// Path below `data.root`, with `{date}`, `{drive}` and `{frame}` (ten digits).
         path: String,
     },
-    /// The recording's own maps: TUM RGB-D's `depth.txt`, the column `depth` of a manifest.
+    /// The recording's own maps: TUM RGB-D's `depth.txt`, the column `depth` of a manifest (there `manifest` is another
+    /// name of it).
+    #[serde(alias = "manifest")]
     Recording {},
-    /// The column `depth` of the pairs manifest: 16-bit PNG files, metres x 256, 0 = unknown.
-    Manifest {},
     /// A depth network; `relcov depth` keeps its maps.
     Monodepth2(NetworkDepthConfig),
 }

@@ -14,9 +14,7 @@ pub fn has_depth(config: &DepthConfig, drive: &Recording, frame: usize, root: &P
         DepthConfig::GroundPlane { .. } => true,
         DepthConfig::Lidar { .. } => drive.scans.contains_key(&frame),
         DepthConfig::Files { path } => files::depth_path(path, drive, frame, root).is_file(),
-        DepthConfig::Recording {} | DepthConfig::Manifest {} => {
-            drive.depth.get(&frame).is_some_and(|path| path.is_file())
-        }
+        DepthConfig::Recording {} => drive.depth.get(&frame).is_some_and(|path| path.is_file()),
         DepthConfig::Monodepth2(config) => DepthCache::of(config).map_path(drive, frame).is_file(),
     }
 }
@@ -25,7 +23,7 @@ pub fn has_depth(config: &DepthConfig, drive: &Recording, frame: usize, root: &P
 pub(crate) fn depth_file(config: &DepthConfig, drive: &Recording, frame: usize, root: &Path) -> Option<PathBuf> {
     match config {
         DepthConfig::Files { path } => Some(files::depth_path(path, drive, frame, root)),
-        DepthConfig::Recording {} | DepthConfig::Manifest {} => drive.depth.get(&frame).cloned(),
+        DepthConfig::Recording {} => drive.depth.get(&frame).cloned(),
         DepthConfig::GroundPlane { .. } | DepthConfig::Lidar { .. } | DepthConfig::Monodepth2(_) => None,
     }
 }
@@ -79,10 +77,7 @@ pub fn native_depth(
         }
         DepthConfig::Lidar { fill_radius_px } => {
             let path = drive.scans.get(&frame).ok_or_else(|| {
-                Error::Data(format!(
-                    "{}, frame {frame}: no LiDAR scan; choose another depth.source",
-                    drive.name
-                ))
+                Error::Data(format!("{}, frame {frame}: no LiDAR scan; choose another depth.source", drive.name))
             })?;
             let sparse = project_scan(&read_scan(path)?, &drive.calibration.camera_from_velodyne, camera);
             Ok(fill_gaps(&sparse, image, *fill_radius_px))
@@ -92,7 +87,7 @@ pub fn native_depth(
             drive.image_size(),
             KITTI_STEPS_PER_METRE,
         ),
-        DepthConfig::Recording {} | DepthConfig::Manifest {} => {
+        DepthConfig::Recording {} => {
             let path = drive.depth.get(&frame).ok_or_else(|| {
                 Error::Data(format!(
                     "{}, frame {frame}: the recording has no depth map of it; choose another depth.source",

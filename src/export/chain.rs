@@ -31,7 +31,7 @@ impl Chain {
         for motion in motions {
             if motion.source != end {
                 return Err(Error::Data(format!(
-                    "{drive}, {system}: no motion from frame {end} to {}; a trajectory needs an unbroken chain: write csv, jsonl or g2o, or fewer frames",
+                    "{drive}, {system}: no motion from frame {end} to {}; a trajectory needs an unbroken chain of neighbours: write csv, jsonl or g2o, fewer frames, or set data.gap to one number",
                     motion.source
                 )));
             }

@@ -1,6 +1,6 @@
 //! Lenses that bend straight lines: where a ray falls on the distorted image, which ray a pixel of it saw, and the pinhole
 //! camera whose image holds nothing but what the lens saw. Leaves the images themselves to
-//! [`Undistortion`](crate::data::Undistortion).
+//! [`Undistortion`](crate::recordings::Undistortion).
 
 use nalgebra::{Matrix2, Vector2};
 use serde::{Deserialize, Serialize};

@@ -182,8 +182,7 @@ fn is_simulated(config: &PairSettings, system: &SystemConfig) -> bool {
         && is_synthetic(&config.data.root)
 }
 
-/// Gives the last part of each drive to the second set; the pair before it, which shares an image with
-/// it, goes to neither.
+/// Gives the last part of each drive to the second set; pairs that reach into it from before go to neither.
 fn hold_out(pairs: Vec<Pair>, fraction: f64) -> (Vec<Pair>, Vec<Pair>) {
     let mut sources: BTreeMap<usize, BTreeSet<usize>> = BTreeMap::new();
     for pair in &pairs {

@@ -3,27 +3,30 @@
 use std::path::Path;
 
 use super::dataset::Dataset;
-use super::pair::{Pair, PairScope};
+use super::pair::Pair;
 use crate::depth::{DepthConfig, map_file};
-use crate::recordings::{ManifestCamera, ManifestRow, Recording, format_manifest_row, manifest_header};
+use crate::recordings::{
+    KITTI_STEPS_PER_METRE, ManifestCamera, ManifestRow, Recording, format_manifest_row, manifest_header,
+};
 
 /// A manifest of all pairs, split by split, to be written into `folder`: files below it are named from there, others by
-/// their whole paths. Poses are those of the camera. Of a data set of measurements without a truth the true poses stay
-/// empty, and so does depth that lies in no file, or is not as distorted as the images are.
+/// their whole paths. Poses are those of the camera. What is not known stays empty: true poses without a truth, and depth
+/// that lies in no file, or is of undistorted images where those in the files are distorted.
 pub fn manifest_of(dataset: &Dataset, depth: &DepthConfig, folder: &Path) -> String {
     let mut text = manifest_header();
     let mut rows: Vec<&Pair> =
         [&dataset.train, &dataset.validation, &dataset.test].into_iter().flat_map(|split| &split.pairs).collect();
     rows.sort_by_key(|pair| (pair.system, pair.id));
+    // A drive may be in several splits.
+    rows.dedup_by_key(|pair| (pair.system, pair.id));
     for pair in rows {
         let recording = &dataset.drives[pair.id.drive];
         let [source, target] = [pair.id.source, pair.id.target];
         let name = |path: &Path| named_from(folder, path);
         let images = [source, target].map(|frame| recording.images.get(&frame).map(|path| name(path)));
         let [Some(source_image), Some(target_image)] = images else { continue };
-        let maps_as_stored =
-            recording.lens.is_none() || matches!(depth, DepthConfig::Recording {} | DepthConfig::Manifest {});
-        let map = map_file(depth, recording, target, &dataset.root).filter(|_| maps_as_stored);
+        let as_stored = recording.lens.is_none() || *depth == DepthConfig::Recording {};
+        let map = map_file(depth, recording, target, &dataset.root).filter(|_| as_stored);
         let map = map.map(|path| name(&path));
         text += &format_manifest_row(&ManifestRow {
             system: &dataset.systems[pair.system],
@@ -32,7 +35,7 @@ pub fn manifest_of(dataset: &Dataset, depth: &DepthConfig, folder: &Path) -> Str
             images: [&source_image, &target_image],
             camera: camera_of(recording, depth),
             source_from_target: pair.source_from_target,
-            true_source_from_target: (dataset.scope != PairScope::Measured).then(|| pair.true_source_from_target()),
+            true_source_from_target: pair.true_source_from_target(),
             depth: map.as_deref(),
             times: [source, target].map(|frame| recording.times.get(&frame).copied()),
         });
@@ -46,8 +49,8 @@ fn camera_of(recording: &Recording, depth: &DepthConfig) -> ManifestCamera {
         Some(undistortion) => (undistortion.lens().camera, undistortion.lens().distortion),
         None => (recording.calibration.camera, [0.0; 5]),
     };
-    let own = matches!(depth, DepthConfig::Recording {} | DepthConfig::Manifest {});
-    let steps = if own { recording.depth_steps_per_metre } else { crate::recordings::KITTI_STEPS_PER_METRE };
+    let own = *depth == DepthConfig::Recording {};
+    let steps = if own { recording.depth_steps_per_metre } else { KITTI_STEPS_PER_METRE };
     ManifestCamera {
         intrinsics: [camera.fx, camera.fy, camera.cx, camera.cy],
         distortion,

@@ -12,13 +12,15 @@ pub struct Pair {
     pub id: PairId,
     /// Index of the system that measured it.
     pub system: usize,
-    /// Measured `ⁱT̂ᵢ₊₁` in axes of camera 2, m: what the warp uses.
+    /// Measured `ⁱT̂ᵢ₊₁` in axes of the camera, m: what the warp uses.
     pub source_from_target: Pose,
-    /// `e = log(T̂ T⁻¹)` (paper Eq. 2) in the configured error frame, m and rad.
+    /// `e = log(T̂ T⁻¹)` (paper Eq. 2) in the configured error frame, m and rad; zero where the truth is not known.
     pub error: Tangent,
+    /// Whether the truth is known.
+    pub is_judged: bool,
     /// `log ⁱT̂ᵢ₊₁` in vehicle axes, m and rad: what baselines know of a measurement.
     pub motion: Tangent,
-    /// Axes of the errors from those of camera 2, where and when the measurement was made.
+    /// Axes of the errors from those of the camera, where and when the measurement was made.
     pub errors_from_camera: Pose,
     /// What generates the measurement, where it is no system's.
     pub generated: Option<Arc<Perturbation>>,
@@ -27,7 +29,7 @@ pub struct Pair {
 }
 
 impl Pair {
-    /// Measured `ⁱT̂ᵢ₊₁` (axes of camera 2, m) and its error; of a generated measurement those of a draw, where one is
+    /// Measured `ⁱT̂ᵢ₊₁` (axes of the camera, m) and its error; of a generated measurement those of a draw, where one is
     /// asked for.
     pub fn measured(&self, draw: Option<usize>) -> (Pose, Tangent) {
         match (&self.generated, draw) {
@@ -39,9 +41,9 @@ impl Pair {
         }
     }
 
-    /// True `ⁱTᵢ₊₁`, axes of the camera, m; where the truth is known.
-    pub fn true_source_from_target(&self) -> Pose {
-        self.wrong_by(&Tangent::zeros())
+    /// True `ⁱTᵢ₊₁`, axes of the camera, m, where it is known.
+    pub fn true_source_from_target(&self) -> Option<Pose> {
+        self.is_judged.then(|| self.wrong_by(&Tangent::zeros()))
     }
 
     /// The pose that a measurement with this error would have: `exp(e) exp(−e₀) T̂₀`.

@@ -9,7 +9,7 @@ use super::coverage::{Coverage, FrameSpan};
 use super::pair::{Pair, PairId, PairScope};
 use super::settings::{DriveConfig, PairSettings};
 use super::split::SplitName;
-use crate::depth::{depth_file, has_depth};
+use crate::depth::{DepthConfig, depth_file, has_depth};
 use crate::error::{Error, Result};
 use crate::geometry::{Pose, Tangent};
 use crate::recordings::{
@@ -56,6 +56,10 @@ impl<'a> Pairing<'a> {
         let (truth, systems) = &self.sources[index];
         let root = &self.config.data.root;
         let wanted_frame = |frame: usize| wanted.frames.is_none_or(|[first, end]| (first..end).contains(&frame));
+        // A step over several frames must not reach over the cut into another split.
+        let wanted_pair = |&(source, target): &(usize, usize)| {
+            wanted_frame(source) && wanted.frames.is_none_or(|[_, end]| target <= end)
+        };
         let cameras =
             if self.config.input.stereo { vec![&drive.images, &drive.right_images] } else { vec![&drive.images] };
         let has_images = |&(source, target): &(usize, usize)| {
@@ -64,7 +68,7 @@ impl<'a> Pairing<'a> {
         let has_depth = |&(_, target): &(usize, usize)| has_depth(self.config.depth, drive, target, root);
 
         let pose_pairs: Vec<(usize, usize)> =
-            truth.motions(&self.config.data.gap).into_keys().filter(|&(source, _)| wanted_frame(source)).collect();
+            truth.motions(&self.config.data.gap).into_keys().filter(wanted_pair).collect();
         let image_pairs: Vec<_> = pose_pairs.iter().copied().filter(has_images).collect();
         let depth_pairs = image_pairs.iter().copied().filter(has_depth).count();
 
@@ -76,9 +80,7 @@ impl<'a> Pairing<'a> {
             let (mut measured, mut with_images) = (0, 0);
             for (&(source, target), measured_pose) in &measurements.relative_poses {
                 let true_motion = truth.motion(source, target);
-                // The step from one keyframe to the next must not reach over the cut into another split.
-                let within = wanted.frames.is_none_or(|[_, end]| target <= end);
-                if !(wanted_frame(source) && within) || (true_motion.is_none() && self.scope != PairScope::Measured) {
+                if !wanted_pair(&(source, target)) || (true_motion.is_none() && self.scope != PairScope::Measured) {
                     continue;
                 }
                 measured += 1;
@@ -118,6 +120,7 @@ impl<'a> Pairing<'a> {
                     system,
                     source_from_target,
                     error,
+                    is_judged: true_motion.is_some(),
                     motion: measured_motion.log(),
                     errors_from_camera: frame_from_vehicle * vehicle_from_camera,
                     generated: None,
@@ -169,6 +172,11 @@ impl<'a> Pairing<'a> {
                 manifest.recording(name, &camera_from_vehicle.unwrap_or_else(camera_axes_from_vehicle))?
             }
         };
+        if matches!(self.config.depth, DepthConfig::GroundPlane { .. }) && !drive.depth.is_empty() {
+            tracing::warn!(
+                "{name} brings depth maps, and depth.source = \"ground_plane\" takes a flat road for depth; set depth.source = \"recording\""
+            );
+        }
         if let Some(first) = drive.remarks.first() {
             let others = match drive.remarks.len() {
                 1 => String::new(),

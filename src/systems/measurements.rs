@@ -66,7 +66,9 @@ pub fn load_measurements(
                 let steps = if gaps.is_empty() { Steps::Keyframes } else { Steps::Apart(gaps) };
                 let motions = motions_of(&trajectory, steps);
                 let path = expand(&config.path, drive, root);
-                warn_of_long_steps(&motions, &path);
+                if steps == Steps::Keyframes {
+                    warn_of_long_steps(&motions, &path);
+                }
                 warn_of_turns(motions.values(), &path);
                 found(config.frame, motions)
             }

@@ -168,8 +168,11 @@ impl PredictArguments {
         Ok(())
     }
 
+    /// Whether a key, or one of a table's, is set.
     pub(super) fn changes(&self, key: &str) -> bool {
-        self.overrides.set.iter().any(|text| text.trim_start().starts_with(key))
+        let key_of = |text: &String| text.split('=').next().unwrap_or_default().trim().to_owned();
+        let of_table = |set: &str| set.strip_prefix(key).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'));
+        self.overrides.set.iter().any(|text| of_table(&key_of(text)))
     }
 }
 

@@ -63,8 +63,8 @@ pub(super) fn of_manifest(arguments: &PredictArguments, config: Config, path: &P
         ..only_test(arguments, &config.data, drives.collect())
     };
     let depth = match &config.depth {
-        _ if arguments.changes("depth.") => config.depth.clone(),
-        _ if manifest.has_depth() => DepthConfig::Manifest {},
+        _ if arguments.changes("depth") => config.depth.clone(),
+        _ if manifest.has_depth() => DepthConfig::Recording {},
         _ if manifest.has_some_depth() => {
             return Err(Error::malformed(
                 path,
@@ -75,10 +75,7 @@ pub(super) fn of_manifest(arguments: &PredictArguments, config: Config, path: &P
             .into());
         }
         DepthConfig::GroundPlane { .. } | DepthConfig::Monodepth2(_) => config.depth.clone(),
-        DepthConfig::Lidar { .. }
-        | DepthConfig::Files { .. }
-        | DepthConfig::Recording {}
-        | DepthConfig::Manifest {} => {
+        DepthConfig::Lidar { .. } | DepthConfig::Files { .. } | DepthConfig::Recording {} => {
             return Err(Error::malformed(
                 path,
                 Place::Field("depth".to_owned()),

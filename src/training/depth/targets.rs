@@ -132,7 +132,7 @@ fn both_neighbours(split: &Split) -> Vec<Pair> {
     let mut pairs = Vec::new();
     for before in &split.pairs {
         let PairId { drive, target, .. } = before.id;
-        // Where pairs are several numbers of frames apart: as far to one side as to the other.
+        // Where pairs are several numbers of frames apart: as nearly as far to one side as to the other as there are.
         let afters = by_source.get(&(drive, target)).into_iter().flatten();
         let Some(after) = afters.min_by_key(|after| step(after).abs_diff(step(before))) else { continue };
         pairs.push(before.clone());
