@@ -11,6 +11,8 @@ const MOST_DIGITS: usize = 37;
 
 /// What times of texts look like, for messages.
 pub(crate) const EXPECTED_SECONDS: &str = "seconds, at most 9.2e9; milli-, micro- or nanoseconds are to be divided";
+/// The same of those that are written as they are kept.
+pub(crate) const EXPECTED_NANOSECONDS: &str = "whole nanoseconds, such as 1403636579763555584";
 
 /// A moment: nanoseconds since 1970 (UTC), or since whatever a recording counts from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -65,6 +67,11 @@ impl Time {
             None => return None,
         };
         i64::try_from(if negative { -nanoseconds } else { nanoseconds }).ok().map(Self)
+    }
+
+    /// Reads whole nanoseconds, such as `1403636579763555584`.
+    pub fn parse_nanoseconds(text: &str) -> Option<Self> {
+        text.parse().ok().map(Self)
     }
 
     /// Reads a date and a time: `2011-09-30 12:40:59.409428480`, with a blank or a `T` between them, and UTC unless an
@@ -189,6 +196,16 @@ mod tests {
             ("1,5", None),
         ] {
             assert_eq!(Time::parse_seconds(text).map(Time::nanoseconds), nanoseconds, "{text}");
+        }
+        for (text, nanoseconds) in [
+            ("1403636579763555584", Some(1_403_636_579_763_555_584)),
+            ("-1", Some(-1)),
+            ("1403636579.76", None),
+            ("1.403636579763555584e18", None),
+            ("9223372036854775808", None),
+            ("", None),
+        ] {
+            assert_eq!(Time::parse_nanoseconds(text).map(Time::nanoseconds), nanoseconds, "{text}");
         }
         assert_eq!(Time::from_nanoseconds(-1).stamp(), (-1, 999_999_999));
         assert_eq!(Time::from_nanoseconds(-1).to_string(), "-0.000000001");

@@ -12,7 +12,7 @@ use crate::error::{Error, Place, Result};
 use crate::files::{read_bytes, require_regular};
 
 /// Largest width and height, px, and largest size of a decoded image: a small file can claim to hold far more.
-const MOST_PIXELS: u32 = 16_384;
+pub(super) const MOST_PIXELS: u32 = 16_384;
 const MOST_BYTES: u64 = 256 << 20;
 
 /// An 8-bit RGB image, rows of `r g b`.

@@ -12,6 +12,8 @@ pub enum Layout {
     KittiOdometry,
     /// TUM RGB-D: `rgb.txt`, `depth.txt` and `groundtruth.txt`.
     TumRgbd,
+    /// EuRoC, or ASL: `mav0/{cam0,cam1,state_groundtruth_estimate0}`, each with `data.csv` and `sensor.yaml`.
+    Euroc,
     /// A pairs manifest.
     Manifest,
 }
@@ -23,6 +25,7 @@ impl Layout {
             Self::KittiRaw => "kitti_raw",
             Self::KittiOdometry => "kitti_odometry",
             Self::TumRgbd => "tum_rgbd",
+            Self::Euroc => "euroc",
             Self::Manifest => "manifest",
         }
     }
@@ -43,6 +46,7 @@ impl Layout {
             Self::KittiRaw => "image_02/data and image_03/data",
             Self::KittiOdometry => "image_2 and image_3, or image_0 and image_1",
             Self::TumRgbd => "rgb.txt",
+            Self::Euroc => "mav0/cam0 and mav0/cam1",
             Self::Manifest => "its manifest",
         }
     }
@@ -51,6 +55,7 @@ impl Layout {
     pub(super) fn size(self) -> &'static str {
         match self {
             Self::KittiRaw => "in calib_cam_to_cam.txt (S_rect)",
+            Self::Euroc => "in sensor.yaml (resolution)",
             Self::KittiOdometry | Self::TumRgbd | Self::Manifest => "the first of the sequence",
         }
     }
@@ -60,6 +65,7 @@ impl Layout {
         match self {
             Self::KittiRaw => "its calib_cam_to_cam.txt needs S_rect_03 and P_rect_03 with the intrinsics of P_rect_02",
             Self::KittiOdometry => "its calib.txt needs P3 with the intrinsics of P2, or P1 with those of P0",
+            Self::Euroc => "it needs mav0/cam1 with data.csv and sensor.yaml",
             Self::TumRgbd | Self::Manifest => "its layout knows none",
         }
     }
@@ -70,6 +76,7 @@ impl Layout {
             Self::KittiRaw => "image_02/timestamps.txt or oxts/timestamps.txt with a time a line",
             Self::KittiOdometry => "times.txt with a time a line",
             Self::TumRgbd => "rgb.txt",
+            Self::Euroc => "mav0/cam0/data.csv",
             Self::Manifest => "the columns source_time and target_time in its manifest",
         }
     }

@@ -5,6 +5,7 @@
 
 mod association;
 mod calibration;
+mod euroc;
 mod frames;
 mod image;
 mod keyed_lines;
@@ -16,6 +17,7 @@ mod manifest_row;
 mod open;
 mod oxts;
 mod recording;
+mod sensor_yaml;
 mod settings;
 mod time_list;
 mod times;
@@ -27,6 +29,7 @@ pub(crate) use self::image::decode;
 pub use self::image::{RgbImage, decode_image, read_image};
 pub(crate) use association::LARGEST_DISTANCE_S;
 pub use calibration::{Calibration, MeasurementFrame, camera_axes_from_vehicle};
+pub use euroc::load_euroc;
 pub use kitti_odometry::load_kitti_odometry;
 pub use kitti_raw::{load_kitti_calibration, load_kitti_raw};
 pub use layout::Layout;

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::DATA_ROOT_VARIABLE;
+use super::euroc::load_euroc;
 use super::kitti_odometry::load_kitti_odometry;
 use super::kitti_raw::{date_of, load_kitti_raw};
 use super::layout::Layout;
@@ -26,7 +27,7 @@ pub struct Opening<'a> {
 }
 
 /// The layouts that are told apart by their folders; a manifest is named by its file.
-const LAYOUTS: [Layout; 3] = [Layout::KittiRaw, Layout::KittiOdometry, Layout::TumRgbd];
+const LAYOUTS: [Layout; 4] = [Layout::KittiRaw, Layout::KittiOdometry, Layout::TumRgbd, Layout::Euroc];
 
 impl Layout {
     /// Folder of a recording of that name below a root, where the name can be one of this layout.
@@ -34,7 +35,7 @@ impl Layout {
         match self {
             Self::KittiRaw => date_of(name).map(|date| root.join(date).join(name)),
             Self::KittiOdometry => Some(root.join("sequences").join(name)),
-            Self::TumRgbd => Some(root.join(name)),
+            Self::TumRgbd | Self::Euroc => Some(root.join(name)),
             Self::Manifest => None,
         }
     }
@@ -53,6 +54,7 @@ impl Layout {
         match self {
             Self::KittiRaw | Self::KittiOdometry => folder.is_dir(),
             Self::TumRgbd => ["rgb.txt", "rgb", "depth.txt"].iter().any(|part| folder.join(part).exists()),
+            Self::Euroc => folder.join("mav0").is_dir(),
             Self::Manifest => false,
         }
     }
@@ -81,6 +83,7 @@ pub fn open_recording(root: &Path, name: &str, opening: &Opening) -> Result<Reco
         Layout::KittiRaw => load_kitti_raw(root, name),
         Layout::KittiOdometry => load_kitti_odometry(root, name),
         Layout::TumRgbd => load_tum_rgbd(&root.join(name), name, opening.camera, opening.camera_from_vehicle),
+        Layout::Euroc => load_euroc(&root.join(name), name),
         Layout::Manifest => {
             Err(Error::config("data.layout", "`manifest` needs the file: data.manifest = \"pairs.csv\""))
         }
@@ -150,7 +153,7 @@ fn detect(root: &Path, name: &str) -> Result<Layout> {
 
 /// What was looked for, and where; and where the root is a recording itself, that.
 fn nothing_there(root: &Path, name: &str) -> Error {
-    let is_recording = [Layout::TumRgbd].iter().any(|layout| layout.fits(root));
+    let is_recording = [Layout::TumRgbd, Layout::Euroc].iter().any(|layout| layout.fits(root));
     if let (true, Some(parent), Some(own)) = (is_recording, root.parent(), root.file_name()) {
         let (root, parent, own) = (root.display(), parent.display(), own.to_string_lossy());
         let problem =

@@ -1,4 +1,4 @@
-//! Files of absolute poses: KITTI rows of 12 or 13 numbers, and TUM.
+//! Files of absolute poses: KITTI rows of 12 or 13 numbers, TUM, and EuRoC.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -9,7 +9,7 @@ use super::association::Association;
 use crate::error::{Error, Place, Result, excerpt};
 use crate::files::{frame_index, parse_numbers, remarks, rows};
 use crate::geometry::Pose;
-use crate::time::{EXPECTED_SECONDS, Time};
+use crate::time::{EXPECTED_NANOSECONDS, EXPECTED_SECONDS, Time};
 
 /// Largest `|RᵀR − I|` of a rotation in a trajectory file (files with six digits exist).
 const ROTATION_TOLERANCE: f64 = 1e-3;
@@ -103,9 +103,7 @@ pub fn parse_tum_trajectory(
     tolerance_s: f64,
 ) -> Result<Trajectory> {
     require_tum_order(text, path)?;
-    let mut nearest = Association::new(frame_times, tolerance_s);
-    let mut poses: Vec<Pose> = Vec::new();
-    let mut span: Option<[Time; 2]> = None;
+    let mut poses = TimedPoses::new(path, frame_times, tolerance_s);
     for (place, line) in rows(text) {
         let malformed = |found: String, expected: &str| Error::malformed(path, place.clone(), found, expected);
         let values = parse_numbers(line, path, &place)?;
@@ -115,29 +113,87 @@ pub fn parse_tum_trajectory(
         let word = line.split_whitespace().next().unwrap_or_default();
         let time =
             Time::parse_seconds(word).ok_or_else(|| malformed(format!("time {}", excerpt(word)), EXPECTED_SECONDS))?;
-        if let Some([_, last]) = span.filter(|[_, last]| time <= *last) {
-            return Err(malformed(format!("time {time} after {last}"), "increasing times"));
-        }
-        span = Some([span.map_or(time, |[first, _]| first), time]);
-        nearest.offer(time, poses.len());
-        poses.push(pose_from_quaternion(Vector3::new(x, y, z), [qx, qy, qz, qw], path, &place)?);
+        poses.push(time, Vector3::new(x, y, z), [qx, qy, qz, qw], &place)?;
     }
-    let Some(span) = span else {
-        return Err(Error::malformed(path, Place::Whole, "no row", "rows of t x y z qx qy qz qw"));
-    };
-    poses_of_frames(nearest, &poses, span, path)
+    poses.of_frames("rows of t x y z qx qy qz qw")
+}
+
+/// What a row of EuRoC's truth begins with, for messages.
+const EUROC_COLUMNS: &str = "timestamp [ns], p_x, p_y, p_z, q_w, q_x, q_y, q_z, w the first of the quaternion";
+
+/// Parses EuRoC rows `timestamp [ns], x, y, z, qw, qx, qy, qz, …`, the columns after those passed over, and matches them to
+/// frames as [`parse_tum_trajectory`] does.
+///
+/// # Errors
+/// As there; or the remark that names the columns has the quaternion's w after its x.
+pub(super) fn parse_euroc_trajectory(
+    text: &str,
+    path: &Path,
+    frame_times: &BTreeMap<usize, Time>,
+    tolerance_s: f64,
+) -> Result<Trajectory> {
+    if let Some((place, remark)) = remarks(text).find(|(_, remark)| names_w_after_x(remark)) {
+        return Err(Error::malformed(path, place, excerpt(remark), format!("columns {EUROC_COLUMNS}")));
+    }
+    let mut poses = TimedPoses::new(path, frame_times, tolerance_s);
+    for (place, line) in rows(text) {
+        let malformed = |found: String, expected: &str| Error::malformed(path, place.clone(), found, expected);
+        let cells: Vec<&str> = line.splitn(9, ',').map(str::trim).collect();
+        let &[word, x, y, z, qw, qx, qy, qz, ..] = cells.as_slice() else {
+            return Err(malformed(format!("{} cells", cells.len()), &format!("at least 8: {EUROC_COLUMNS}")));
+        };
+        let time = Time::parse_nanoseconds(word)
+            .ok_or_else(|| malformed(format!("time {}", excerpt(word)), EXPECTED_NANOSECONDS))?;
+        let mut numbers = [0.0; 7];
+        for (number, cell) in numbers.iter_mut().zip([x, y, z, qx, qy, qz, qw]) {
+            let finite = cell.parse::<f64>().ok().filter(|value| value.is_finite());
+            *number = finite.ok_or_else(|| malformed(excerpt(cell), "a finite number"))?;
+        }
+        let [x, y, z, quaternion @ ..] = numbers;
+        poses.push(time, Vector3::new(x, y, z), quaternion, &place)?;
+    }
+    poses.of_frames(&format!("rows of {EUROC_COLUMNS}"))
+}
+
+/// Poses by increasing time, and which of them are nearest to frames.
+struct TimedPoses<'a> {
+    path: &'a Path,
+    nearest: Association<'a>,
+    poses: Vec<Pose>,
+    span: Option<[Time; 2]>,
+}
+
+impl<'a> TimedPoses<'a> {
+    fn new(path: &'a Path, frame_times: &'a BTreeMap<usize, Time>, tolerance_s: f64) -> Self {
+        Self { path, nearest: Association::new(frame_times, tolerance_s), poses: Vec::new(), span: None }
+    }
+
+    /// Takes the next; its quaternion as `x y z w`.
+    fn push(&mut self, time: Time, translation: Vector3<f64>, quaternion: [f64; 4], place: &Place) -> Result<()> {
+        if let Some([_, last]) = self.span.filter(|[_, last]| time <= *last) {
+            let found = format!("time {time} after {last}");
+            return Err(Error::malformed(self.path, place.clone(), found, "increasing times"));
+        }
+        self.span = Some([self.span.map_or(time, |[first, _]| first), time]);
+        self.nearest.offer(time, self.poses.len());
+        self.poses.push(pose_from_quaternion(translation, quaternion, self.path, place)?);
+        Ok(())
+    }
+
+    /// Those of frames; `expected` says what there should be where there is none.
+    fn of_frames(self, expected: &str) -> Result<Trajectory> {
+        let Some(span) = self.span else {
+            return Err(Error::malformed(self.path, Place::Whole, "no row", expected));
+        };
+        poses_of_frames(self.nearest, &self.poses, span, self.path)
+    }
 }
 
 /// The poses nearest to frames; said where frames within their time have none.
 ///
 /// # Errors
 /// Not one belongs to a frame: another clock, or other units.
-pub(super) fn poses_of_frames(
-    nearest: Association,
-    poses: &[Pose],
-    span: [Time; 2],
-    path: &Path,
-) -> Result<Trajectory> {
+fn poses_of_frames(nearest: Association, poses: &[Pose], span: [Time; 2], path: &Path) -> Result<Trajectory> {
     let (limit_s, within, frames) = (nearest.limit_s(), nearest.frames_within(span), nearest.span());
     let nearest = nearest.into_nearest();
     if nearest.is_empty() {
@@ -170,6 +226,13 @@ fn require_tum_order(text: &str, path: &Path) -> Result<()> {
     Ok(())
 }
 
+/// Whether a remark names columns of a quaternion, x before w: `q_RS_x`, `q_RS_w`.
+fn names_w_after_x(remark: &str) -> bool {
+    let words: Vec<&str> = remark.split(|c: char| !(c.is_alphanumeric() || c == '_')).collect();
+    let at = |axis: char| words.iter().position(|word| word.starts_with('q') && word.ends_with(axis));
+    at('x').zip(at('w')).is_some_and(|(x, w)| x < w)
+}
+
 /// A pose from translation and quaternion `x y z w`, which is normalised.
 pub(crate) fn pose_from_quaternion(
     translation: Vector3<f64>,
@@ -184,7 +247,7 @@ pub(crate) fn pose_from_quaternion(
             path,
             place.clone(),
             format!("a quaternion of length {norm:.4}"),
-            "qx qy qz qw of length 1",
+            "a quaternion of length 1",
         ));
     }
     let rotation: Rotation3<f64> = UnitQuaternion::from_quaternion(quaternion).to_rotation_matrix();

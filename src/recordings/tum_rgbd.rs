@@ -7,22 +7,31 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::association::{Association, LARGEST_DISTANCE_S};
+use super::association::LARGEST_DISTANCE_S;
 use super::calibration::{Calibration, camera_axes_from_vehicle};
 use super::image::size_of_first;
 use super::layout::Layout;
 use super::recording::{FrameFiles, Recording};
 use super::settings::CameraConfig;
-use super::time_list::TimeList;
+use super::time_list::{ListForm, TimeList};
 use super::trajectory::parse_tum_trajectory;
 use super::undistortion::Undistortion;
 use crate::error::{Error, Place, Result};
 use crate::files::read_text;
 use crate::geometry::{Lens, OWN_INTRINSICS, Pinhole, Pose};
-use crate::time::Time;
+use crate::time::{EXPECTED_SECONDS, Time};
 
 /// Steps of a metre in its depth maps.
 const STEPS_PER_METRE: f32 = 5000.0;
+
+/// Its lists.
+const LIST: ListForm = ListForm {
+    separates: char::is_whitespace,
+    parse_time: Time::parse_seconds,
+    expected_time: EXPECTED_SECONDS,
+    expected_line: "a time in seconds and the name of a file",
+    folder: "",
+};
 
 /// The colour cameras of the benchmark (Sturm et al. 2012, "Intrinsic camera calibration of the Kinect") by what names of
 /// their recordings contain: fx fy cx cy, and k1 k2 p1 p2 k3.
@@ -54,15 +63,9 @@ pub fn load_tum_rgbd(
         let expected = "the list of its images: a time in seconds and the name of a file a line";
         return Err(Error::malformed(&colour_file, Place::Whole, "no such file", expected));
     }
-    let colour = TimeList::load(&colour_file)?;
+    let colour = TimeList::load(&colour_file, &LIST)?;
     let mut remarks: Vec<String> = colour.absent("images").into_iter().collect();
-    let present = colour.files.iter().enumerate().filter(|(_, file)| colour.is_present(file));
-    let images: FrameFiles = present.map(|(frame, file)| (frame, file.path.clone())).collect();
-    if images.is_empty() {
-        let found = format!("{} images, none of which is there", colour.files.len());
-        return Err(Error::malformed(&colour_file, Place::Whole, found, "names of files below its folder"));
-    }
-    let times: BTreeMap<usize, Time> = colour.files.iter().map(|file| file.time).enumerate().collect();
+    let (images, times) = (colour.frames()?, colour.times());
     let size = size_of_first(images.values())?;
     let lens = lens_of(name, camera, size)?;
     let (rectified, undistortion) = Undistortion::of(&lens).ok_or_else(|| no_rectified(name))?;
@@ -75,7 +78,10 @@ pub fn load_tum_rgbd(
         right_from_left: None,
     };
     let depth = match depth_file.is_file() {
-        true => depth_of_frames(&TimeList::load(&depth_file)?, &depth_file, &times, &mut remarks)?,
+        true => {
+            let list = TimeList::load(&depth_file, &LIST)?;
+            list.nearest_to(&times, LARGEST_DISTANCE_S, "depth maps", &mut remarks)?
+        }
         false => {
             remarks.push(format!("{}: not there; it brings no depth", depth_file.display()));
             FrameFiles::new()
@@ -100,35 +106,6 @@ pub fn load_tum_rgbd(
         sources: vec![colour_file, depth_file, truth_file],
         ..Recording::new(Layout::TumRgbd, name, calibration)
     })
-}
-
-/// The depth map nearest in time to each frame.
-fn depth_of_frames(
-    list: &TimeList,
-    path: &Path,
-    times: &BTreeMap<usize, Time>,
-    remarks: &mut Vec<String>,
-) -> Result<FrameFiles> {
-    remarks.extend(list.absent("depth maps"));
-    let mut nearest = Association::new(times, LARGEST_DISTANCE_S);
-    list.files.iter().enumerate().for_each(|(index, file)| nearest.offer(file.time, index));
-    let span = nearest.span();
-    let nearest = nearest.into_nearest();
-    let (Some([first, last]), Some([begin, end])) = (list.span(), span) else { return Ok(FrameFiles::new()) };
-    if nearest.is_empty() {
-        let expected = format!("times of images, {begin} to {end}, to {LARGEST_DISTANCE_S} s: those of one clock");
-        let found = format!("{} depth maps, {first} to {last} s", list.files.len());
-        return Err(Error::malformed(path, Place::Whole, found, expected));
-    }
-    let alone = list.files.len() - nearest.len();
-    if alone > 0 {
-        let (path, all) = (path.display(), list.files.len());
-        remarks.push(format!(
-            "{path}: {alone} of its {all} depth maps are of no image: none is nearer than {LARGEST_DISTANCE_S} s, or another map is"
-        ));
-    }
-    let files = nearest.into_iter().map(|(frame, index)| (frame, &list.files[index]));
-    Ok(files.filter(|(_, file)| list.is_present(file)).map(|(frame, file)| (frame, file.path.clone())).collect())
 }
 
 /// The camera with its distortion: the configuration's, or that of the benchmark which the name tells.

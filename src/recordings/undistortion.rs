@@ -49,8 +49,13 @@ impl Undistortion {
     /// the lens folds over within the image.
     pub(super) fn of(lens: &Lens) -> Option<(Pinhole, Option<Arc<Self>>)> {
         let rectified = lens.rectified()?;
-        let distorted = lens.distortion.iter().any(|coefficient| *coefficient != 0.0);
-        Some((rectified, distorted.then(|| Arc::new(Self::new(lens, rectified)))))
+        Some((rectified, Self::to(lens, rectified)))
+    }
+
+    /// What takes a lens's images to those of a camera, where they are not those already.
+    pub(super) fn to(lens: &Lens, camera: Pinhole) -> Option<Arc<Self>> {
+        let differs = lens.camera != camera || lens.distortion != [0.0; 5];
+        differs.then(|| Arc::new(Self::new(lens, camera)))
     }
 
     /// The table from a lens to a camera such as [`Lens::rectified`] gives, which may have another size.
