@@ -13,8 +13,9 @@ use crate::depth::{DepthCache, DepthConfig};
 use crate::device::open_device;
 use crate::evaluation::warp_pair;
 use crate::files::write_atomically;
-use crate::geometry::Pose;
+use crate::geometry::{Pinhole, Pose};
 use crate::pairs::{Coverage, Dataset, Pair, PairId, PairReader, PairSample, PairScope, SplitName};
+use crate::recordings::Recording;
 use crate::report::{CONTACT_SHEET_COLUMNS, SheetRow, contact_sheet};
 use crate::synthetic::is_rendered;
 
@@ -122,6 +123,7 @@ fn describe(config: &Config, dataset: &Dataset, depth_problem: Option<String>) -
     let layouts: BTreeSet<&str> = dataset.drives.iter().map(|drive| drive.layout.name()).collect();
     let layouts = layouts.into_iter().collect::<Vec<_>>().join(", ");
     let mut text = format!("data: {} ({layouts})\n{}\n\n", place.display(), coverage_table(dataset));
+    text += &cameras(dataset);
     for name in [SplitName::Train, SplitName::Validation, SplitName::Test] {
         text += &format!("{}\n", summary(dataset, name));
     }
@@ -144,6 +146,18 @@ fn describe(config: &Config, dataset: &Dataset, depth_problem: Option<String>) -
         problems.iter().for_each(|problem| text += &format!("  {problem}\n"));
     }
     text
+}
+
+/// The cameras of the images as they are read, and whose they are.
+fn cameras(dataset: &Dataset) -> String {
+    let mut drives: BTreeMap<String, Vec<&str>> = BTreeMap::new();
+    for Recording { name, calibration, lens, .. } in &dataset.drives {
+        let Pinhole { fx, fy, cx, cy, width, height } = calibration.camera;
+        let undistorted = if lens.is_some() { ", undistorted" } else { "" };
+        let camera = format!("{width}x{height} px, fx {fx:.1} fy {fy:.1} cx {cx:.1} cy {cy:.1}{undistorted}");
+        drives.entry(camera).or_default().push(name);
+    }
+    drives.into_iter().map(|(camera, drives)| format!("camera: {camera}: {}\n", drives.join(", "))).collect()
 }
 
 fn coverage_table(dataset: &Dataset) -> Table {

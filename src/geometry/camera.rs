@@ -36,6 +36,21 @@ impl Pinhole {
         }
     }
 
+    /// That its principal point lies in the middle half of the image: of half or twice the size it does not.
+    ///
+    /// # Errors
+    /// It does not; both are named.
+    pub fn require_middle(&self) -> Result<(), String> {
+        let Self { cx, cy, width, height, .. } = *self;
+        let in_middle = |centre: f64, size: usize| (0.25..=0.75).contains(&(centre / size as f64));
+        match in_middle(cx, width) && in_middle(cy, height) {
+            true => Ok(()),
+            false => {
+                Err(format!("a principal point ({cx}, {cy}) far from the middle of the image of {width}x{height}"))
+            }
+        }
+    }
+
     /// The camera of the same view sampled at another size.
     ///
     /// A pixel covers the half-open square of half a pixel around its centre, so edges, not centres,

@@ -12,9 +12,7 @@ use super::split::SplitName;
 use crate::depth::{DepthConfig, depth_file, has_depth};
 use crate::error::{Error, Result};
 use crate::geometry::{Pose, Tangent};
-use crate::recordings::{
-    CameraConfig, Manifest, MeasurementFrame, Opening, Recording, camera_axes_from_vehicle, open_recording,
-};
+use crate::recordings::{CameraConfig, Manifest, MeasurementFrame, Opening, Recording, open_recording};
 use crate::systems::{Measurements, Truth, load_measurements};
 
 /// Joins drive after drive; each is read once, however many splits name it.
@@ -155,7 +153,7 @@ impl<'a> Pairing<'a> {
     fn drive_index(&mut self, wanted: &DriveConfig) -> Result<usize> {
         let name = &wanted.drive;
         let data = self.config.data;
-        let camera = wanted.camera.as_ref().or(data.camera.as_ref());
+        let camera = wanted.camera.as_ref();
         if let Some(index) = self.drives.iter().position(|drive| drive.name == *name) {
             let problem = || format!("`{name}` is named with another camera before");
             let same = self.cameras[index] == camera.cloned();
@@ -166,11 +164,10 @@ impl<'a> Pairing<'a> {
         let drive = match &self.manifest {
             None => {
                 let camera_from_vehicle = camera_from_vehicle.as_ref();
-                open_recording(root, name, &Opening { layout: data.layout, camera, camera_from_vehicle })?
+                let usual_camera = data.camera.as_ref();
+                open_recording(root, name, &Opening { layout: data.layout, camera, usual_camera, camera_from_vehicle })?
             }
-            Some(manifest) => {
-                manifest.recording(name, &camera_from_vehicle.unwrap_or_else(camera_axes_from_vehicle))?
-            }
+            Some(manifest) => manifest.recording(name, camera_from_vehicle.as_ref())?,
         };
         if matches!(self.config.depth, DepthConfig::GroundPlane { .. }) && !drive.depth.is_empty() {
             tracing::warn!(

@@ -8,20 +8,19 @@ use crate::time::Time;
 pub(crate) const LARGEST_DISTANCE_S: f64 = 0.02;
 
 /// Frames and what was found nearest to each, within a limit; nothing belongs to two frames.
-pub(super) struct Association<'a> {
+pub(super) struct Association {
     /// Frames in order of time.
     frames: Vec<(Time, usize)>,
     limit_s: f64,
     /// By frame: how far away in time, s, and which.
     nearest: BTreeMap<usize, (f64, usize)>,
-    times: &'a BTreeMap<usize, Time>,
 }
 
-impl<'a> Association<'a> {
-    pub(super) fn new(times: &'a BTreeMap<usize, Time>, limit_s: f64) -> Self {
+impl Association {
+    pub(super) fn new(times: &BTreeMap<usize, Time>, limit_s: f64) -> Self {
         let mut frames: Vec<(Time, usize)> = times.iter().map(|(&frame, &time)| (time, frame)).collect();
         frames.sort();
-        Self { frames, limit_s, nearest: BTreeMap::new(), times }
+        Self { frames, limit_s, nearest: BTreeMap::new() }
     }
 
     /// Offers what was seen at a time to the frame that is nearest.
@@ -46,9 +45,9 @@ impl<'a> Association<'a> {
         Some([self.frames.first()?.0, self.frames.last()?.0])
     }
 
-    /// How many frames lie in a span of time.
-    pub(super) fn frames_within(&self, [first, last]: [Time; 2]) -> usize {
-        self.times.values().filter(|time| (first..=last).contains(time)).count()
+    /// How many frames there are.
+    pub(super) fn frames(&self) -> usize {
+        self.frames.len()
     }
 
     /// By frame: the index of what is nearest.
@@ -70,7 +69,6 @@ mod tests {
         for (index, milliseconds) in [120, 205, 210].into_iter().enumerate() {
             association.offer(time(milliseconds), index);
         }
-        assert_eq!(association.frames_within([time(120), time(200)]), 3);
         assert_eq!(association.into_nearest(), [(5, 0), (7, 1)].into());
     }
 }

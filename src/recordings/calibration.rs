@@ -35,6 +35,18 @@ pub struct Calibration {
 }
 
 impl Calibration {
+    /// A camera without other sensors; the vehicle is where it is, x forward, y left, z up, unless its axes are told.
+    pub(super) fn of_camera(camera: Pinhole, camera_from_vehicle: Option<&Pose>) -> Self {
+        let camera_from_vehicle = camera_from_vehicle.copied().unwrap_or_else(camera_axes_from_vehicle);
+        Self {
+            camera,
+            camera_from_camera0: Pose::identity(),
+            camera_from_velodyne: camera_from_vehicle,
+            camera_from_vehicle,
+            right_from_left: None,
+        }
+    }
+
     /// Vehicle axes into those of `frame`; the world's need the vehicle's pose in it.
     pub fn axes_from_vehicle(&self, frame: ErrorFrame, world_from_vehicle: Option<&Pose>) -> Option<Pose> {
         match frame {

@@ -49,14 +49,7 @@ pub fn load_euroc(folder: &Path, name: &str) -> Result<Recording> {
     let (images, times) = (list.frames()?, list.times());
 
     let camera = left.rectified;
-    let camera_from_vehicle = left.body_from_camera.inverse();
-    let calibration = Calibration {
-        camera,
-        camera_from_camera0: Pose::identity(),
-        camera_from_velodyne: camera_from_vehicle,
-        camera_from_vehicle,
-        right_from_left: None,
-    };
+    let calibration = Calibration::of_camera(camera, Some(&left.body_from_camera.inverse()));
     let mut sources = vec![left_files.list, left_files.calibration];
     let mut recording = Recording {
         images,
@@ -82,7 +75,7 @@ pub fn load_euroc(folder: &Path, name: &str) -> Result<Recording> {
     let truths = TRUTHS.map(|sensor| rig.join(sensor).join("data.csv"));
     match truths.iter().find(|path| path.is_file()) {
         Some(path) => {
-            recording.poses = load_truth(path, &times)?;
+            recording.poses = load_truth(path, &times, &mut remarks)?;
             sources.push(path.clone());
         }
         None => remarks.push(format!("{}: not there; it brings no true poses", truths[0].display())),
@@ -114,8 +107,10 @@ impl CameraFiles {
 
 /// True poses of the body, `world_from_vehicle`. The file has those of its sensor, which is elsewhere on the body where the
 /// calibration beside it says so: markers of a motion capture.
-fn load_truth(path: &Path, times: &BTreeMap<usize, Time>) -> Result<Trajectory> {
-    let poses = parse_euroc_trajectory(&read_text(path)?, path, times, LARGEST_DISTANCE_S)?;
+fn load_truth(path: &Path, times: &BTreeMap<usize, Time>, remarks: &mut Vec<String>) -> Result<Trajectory> {
+    let truth = parse_euroc_trajectory(&read_text(path)?, path, times, LARGEST_DISTANCE_S)?;
+    remarks.extend(truth.remark);
+    let poses = truth.poses;
     let calibration = path.with_file_name("sensor.yaml");
     if !calibration.is_file() {
         return Ok(poses);

@@ -82,6 +82,13 @@ impl KeyedLines {
         Ok((camera, Pose { translation: offset, ..Pose::identity() }))
     }
 
+    /// The right camera beside the left one, where it is there and has the same intrinsics; both as they are beside camera 0.
+    pub(super) fn right_from_left(left: &(Pinhole, Pose), right: Option<(Pinhole, Pose)>) -> Option<Pose> {
+        let (camera, left_from_camera0) = left;
+        let (_, right_from_camera0) = right.filter(|(right, _)| right == camera)?;
+        Some(right_from_camera0 * left_from_camera0.inverse())
+    }
+
     /// Where a sensor is beside another, by its 3x4 matrix.
     pub(super) fn pose(&self, key: &str) -> Result<Pose> {
         let matrix = Matrix3x4::from_row_slice(&self.numbers::<12>(key)?);

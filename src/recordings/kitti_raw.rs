@@ -73,11 +73,10 @@ pub fn load_kitti_raw(root: &Path, name: &str) -> Result<Recording> {
 pub fn load_kitti_calibration(date_folder: &Path) -> Result<Calibration> {
     let [cameras, velodyne, imu] = CALIBRATION.map(|name| KeyedLines::load(date_folder.join(name)));
     let (cameras, velodyne, imu) = (cameras?, velodyne?, imu?);
-    let (camera, camera_from_camera0) = cameras.camera(2)?;
+    let left = cameras.camera(2)?;
     let right = cameras.has("P_rect_03").then(|| cameras.camera(3)).transpose()?;
-    let right_from_left = right
-        .filter(|(right, _)| *right == camera)
-        .map(|(_, right_from_camera0)| right_from_camera0 * camera_from_camera0.inverse());
+    let right_from_left = KeyedLines::right_from_left(&left, right);
+    let (camera, camera_from_camera0) = left;
     let rectification = cameras.rotation("R_rect_00", Vector3::zeros())?;
     let camera0_from_velodyne = velodyne.rotation("R", velodyne.offset()?)?;
     let velodyne_from_imu = imu.rotation("R", imu.offset()?)?;

@@ -35,9 +35,14 @@ impl Layout {
         self == Self::TumRgbd
     }
 
+    /// Whether it knows no vehicle, which is where the camera is unless it is told.
+    pub(crate) fn takes_vehicle(self) -> bool {
+        matches!(self, Self::TumRgbd | Self::KittiOdometry | Self::Manifest)
+    }
+
     /// Whether trajectories of such recordings are in TUM's form, where nothing else is said.
     pub(crate) fn has_tum_trajectories(self) -> bool {
-        self == Self::TumRgbd
+        matches!(self, Self::TumRgbd | Self::Euroc)
     }
 
     /// Where its images are, for messages.

@@ -104,7 +104,7 @@ impl Manifest {
     ///
     /// # Errors
     /// There is no such sequence, or none of its images can be read.
-    pub fn recording(&self, name: &str, camera_from_vehicle: &Pose) -> Result<Recording> {
+    pub fn recording(&self, name: &str, camera_from_vehicle: Option<&Pose>) -> Result<Recording> {
         let sequence = self.sequences.get(name).ok_or_else(|| {
             let known: Vec<&str> = self.sequences().take(8).collect();
             Error::config(
@@ -122,13 +122,7 @@ impl Manifest {
         let Some((camera, lens)) = Undistortion::of(&Lens { camera, distortion }) else {
             return Err(malformed(format!("distortion {distortion:?}, by which rays cross"), "k1 k2 p1 p2 k3"));
         };
-        let calibration = Calibration {
-            camera,
-            camera_from_camera0: Pose::identity(),
-            camera_from_velodyne: *camera_from_vehicle,
-            camera_from_vehicle: *camera_from_vehicle,
-            right_from_left: None,
-        };
+        let calibration = Calibration::of_camera(camera, camera_from_vehicle);
         Ok(Recording {
             images: sequence.images.clone(),
             depth: sequence.depth.clone(),

@@ -45,7 +45,8 @@ pub struct Recording {
     /// The same of its right images.
     pub right_lens: Option<Arc<Undistortion>>,
     /// Poses that it brings with it, `world_from_vehicle`: in the KITTI raw layout by GNSS/INS (`oxts`), world of east,
-    /// north, up.
+    /// north, up; in KITTI odometry the world is the vehicle of the first pose; in TUM RGB-D and EuRoC that of the motion
+    /// capture or scanner.
     pub poses: BTreeMap<usize, Pose>,
     /// Time of each frame (UTC as written); empty where nothing tells.
     pub times: BTreeMap<usize, Time>,

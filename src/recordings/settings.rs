@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
+use crate::geometry::{Lens, Pinhole};
 
 /// A camera, for layouts that do not say it (`tum_rgbd`).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -27,6 +28,15 @@ pub struct CameraConfig {
 }
 
 impl CameraConfig {
+    /// The same as a lens.
+    pub(super) fn lens(&self) -> Lens {
+        let Self { width, height, fx, fy, cx, cy, distortion: coefficients } = self;
+        let mut distortion = [0.0; 5];
+        distortion.iter_mut().zip(coefficients).for_each(|(place, value)| *place = *value);
+        let camera = Pinhole { fx: *fx, fy: *fy, cx: *cx, cy: *cy, width: *width, height: *height };
+        Lens { camera, distortion }
+    }
+
     /// That its numbers can be a camera's; `key` names it.
     ///
     /// # Errors

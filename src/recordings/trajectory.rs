@@ -102,6 +102,16 @@ pub fn parse_tum_trajectory(
     frame_times: &BTreeMap<usize, Time>,
     tolerance_s: f64,
 ) -> Result<Trajectory> {
+    match_tum_poses(text, path, frame_times, tolerance_s).map(FramePoses::said)
+}
+
+/// The same, with what there is to remark.
+pub(super) fn match_tum_poses(
+    text: &str,
+    path: &Path,
+    frame_times: &BTreeMap<usize, Time>,
+    tolerance_s: f64,
+) -> Result<FramePoses> {
     require_tum_order(text, path)?;
     let mut poses = TimedPoses::new(path, frame_times, tolerance_s);
     for (place, line) in rows(text) {
@@ -131,7 +141,7 @@ pub(super) fn parse_euroc_trajectory(
     path: &Path,
     frame_times: &BTreeMap<usize, Time>,
     tolerance_s: f64,
-) -> Result<Trajectory> {
+) -> Result<FramePoses> {
     if let Some((place, remark)) = remarks(text).find(|(_, remark)| names_w_after_x(remark)) {
         return Err(Error::malformed(path, place, excerpt(remark), format!("columns {EUROC_COLUMNS}")));
     }
@@ -158,13 +168,13 @@ pub(super) fn parse_euroc_trajectory(
 /// Poses by increasing time, and which of them are nearest to frames.
 struct TimedPoses<'a> {
     path: &'a Path,
-    nearest: Association<'a>,
+    nearest: Association,
     poses: Vec<Pose>,
     span: Option<[Time; 2]>,
 }
 
 impl<'a> TimedPoses<'a> {
-    fn new(path: &'a Path, frame_times: &'a BTreeMap<usize, Time>, tolerance_s: f64) -> Self {
+    fn new(path: &'a Path, frame_times: &BTreeMap<usize, Time>, tolerance_s: f64) -> Self {
         Self { path, nearest: Association::new(frame_times, tolerance_s), poses: Vec::new(), span: None }
     }
 
@@ -181,7 +191,7 @@ impl<'a> TimedPoses<'a> {
     }
 
     /// Those of frames; `expected` says what there should be where there is none.
-    fn of_frames(self, expected: &str) -> Result<Trajectory> {
+    fn of_frames(self, expected: &str) -> Result<FramePoses> {
         let Some(span) = self.span else {
             return Err(Error::malformed(self.path, Place::Whole, "no row", expected));
         };
@@ -189,12 +199,28 @@ impl<'a> TimedPoses<'a> {
     }
 }
 
-/// The poses nearest to frames; said where frames within their time have none.
+/// Poses of frames, and how many frames have none, where there are such.
+pub(super) struct FramePoses {
+    pub(super) poses: Trajectory,
+    pub(super) remark: Option<String>,
+}
+
+impl FramePoses {
+    /// The poses; what there is to remark is said.
+    fn said(self) -> Trajectory {
+        if let Some(remark) = self.remark {
+            tracing::warn!("{remark}");
+        }
+        self.poses
+    }
+}
+
+/// The poses nearest to frames.
 ///
 /// # Errors
 /// Not one belongs to a frame: another clock, or other units.
-fn poses_of_frames(nearest: Association, poses: &[Pose], span: [Time; 2], path: &Path) -> Result<Trajectory> {
-    let (limit_s, within, frames) = (nearest.limit_s(), nearest.frames_within(span), nearest.span());
+fn poses_of_frames(nearest: Association, poses: &[Pose], span: [Time; 2], path: &Path) -> Result<FramePoses> {
+    let (limit_s, all, frames) = (nearest.limit_s(), nearest.frames(), nearest.span());
     let nearest = nearest.into_nearest();
     if nearest.is_empty() {
         let expected = match frames {
@@ -204,14 +230,11 @@ fn poses_of_frames(nearest: Association, poses: &[Pose], span: [Time; 2], path: 
         let found = format!("{} poses, {} to {} s", poses.len(), span[0], span[1]);
         return Err(Error::malformed(path, Place::Whole, found, expected));
     }
-    let lacking = within.saturating_sub(nearest.len());
-    if lacking > 0 {
-        let path = path.display();
-        tracing::warn!(
-            "{path}: {lacking} of the {within} frames between its first and last row have no pose within {limit_s} s"
-        );
-    }
-    Ok(nearest.into_iter().map(|(frame, index)| (frame, poses[index])).collect())
+    let remark = (nearest.len() < all).then(|| {
+        let (path, lacking) = (path.display(), all - nearest.len());
+        format!("{path}: no pose within {limit_s} s of {lacking} of the {all} frames")
+    });
+    Ok(FramePoses { poses: nearest.into_iter().map(|(frame, index)| (frame, poses[index])).collect(), remark })
 }
 
 /// That a remark which names columns names them as TUM files have them.

@@ -8,13 +8,13 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::association::LARGEST_DISTANCE_S;
-use super::calibration::{Calibration, camera_axes_from_vehicle};
+use super::calibration::Calibration;
 use super::image::size_of_first;
 use super::layout::Layout;
 use super::recording::{FrameFiles, Recording};
 use super::settings::CameraConfig;
 use super::time_list::{ListForm, TimeList};
-use super::trajectory::parse_tum_trajectory;
+use super::trajectory::match_tum_poses;
 use super::undistortion::Undistortion;
 use crate::error::{Error, Place, Result};
 use crate::files::read_text;
@@ -45,7 +45,8 @@ const KNOWN_SIZE: [usize; 2] = [640, 480];
 
 /// Reads the recording in a folder.
 ///
-/// `camera`: its colour camera; `None`: the known one. `camera_from_vehicle`: vehicle axes into those of the colour
+/// `camera`: its colour camera; `None`: the known one, else `usual_camera`, and both are refused where they differ.
+/// `camera_from_vehicle`: vehicle axes into those of the colour
 /// camera; `None`: the vehicle is where the camera is, x forward, y left, z up.
 ///
 /// # Errors
@@ -55,6 +56,7 @@ pub fn load_tum_rgbd(
     folder: &Path,
     name: &str,
     camera: Option<&CameraConfig>,
+    usual_camera: Option<&CameraConfig>,
     camera_from_vehicle: Option<&Pose>,
 ) -> Result<Recording> {
     let [colour_file, depth_file, truth_file] =
@@ -67,16 +69,10 @@ pub fn load_tum_rgbd(
     let mut remarks: Vec<String> = colour.absent("images").into_iter().collect();
     let (images, times) = (colour.frames()?, colour.times());
     let size = size_of_first(images.values())?;
-    let lens = lens_of(name, camera, size)?;
+    let lens = lens_of(name, camera, usual_camera, size)?;
     let (rectified, undistortion) = Undistortion::of(&lens).ok_or_else(|| no_rectified(name))?;
-    let camera_from_vehicle = camera_from_vehicle.copied().unwrap_or_else(camera_axes_from_vehicle);
-    let calibration = Calibration {
-        camera: rectified,
-        camera_from_camera0: Pose::identity(),
-        camera_from_velodyne: camera_from_vehicle,
-        camera_from_vehicle,
-        right_from_left: None,
-    };
+    let calibration = Calibration::of_camera(rectified, camera_from_vehicle);
+    let camera_from_vehicle = calibration.camera_from_vehicle;
     let depth = match depth_file.is_file() {
         true => {
             let list = TimeList::load(&depth_file, &LIST)?;
@@ -88,7 +84,11 @@ pub fn load_tum_rgbd(
         }
     };
     let poses = match truth_file.is_file() {
-        true => parse_tum_trajectory(&read_text(&truth_file)?, &truth_file, &times, LARGEST_DISTANCE_S)?,
+        true => {
+            let truth = match_tum_poses(&read_text(&truth_file)?, &truth_file, &times, LARGEST_DISTANCE_S)?;
+            remarks.extend(truth.remark);
+            truth.poses
+        }
         false => {
             remarks.push(format!("{}: not there; it brings no true poses", truth_file.display()));
             BTreeMap::new()
@@ -108,51 +108,56 @@ pub fn load_tum_rgbd(
     })
 }
 
-/// The camera with its distortion: the configuration's, or that of the benchmark which the name tells.
-fn lens_of(name: &str, camera: Option<&CameraConfig>, [width, height]: [usize; 2]) -> Result<Lens> {
-    let (intrinsics, distortion) = match camera {
-        Some(camera) => {
-            if [camera.width, camera.height] != [width, height] {
-                return Err(Error::config(
-                    "data.camera",
-                    format!(
-                        "is of images of {}x{} pixels, and those of `{name}` have {width}x{height}; give its own as `camera` beside its `drive`",
-                        camera.width, camera.height
-                    ),
-                ));
-            }
-            let mut distortion = [0.0; 5];
-            distortion.iter_mut().zip(&camera.distortion).for_each(|(place, value)| *place = *value);
-            ([camera.fx, camera.fy, camera.cx, camera.cy], distortion)
+/// The benchmark's camera of a recording, where a word of its name says it.
+fn known_lens(name: &str) -> Option<Lens> {
+    let name = name.to_lowercase();
+    let mut words = name.split(|c: char| !c.is_alphanumeric());
+    let (_, [fx, fy, cx, cy], distortion) =
+        words.find_map(|word| KNOWN.iter().find(|(names, ..)| names.contains(&word)))?;
+    let [width, height] = KNOWN_SIZE;
+    Some(Lens { camera: Pinhole { fx: *fx, fy: *fy, cx: *cx, cy: *cy, width, height }, distortion: *distortion })
+}
+
+/// Whether the camera of a recording is known by its name.
+pub(crate) fn is_known_camera(name: &str) -> bool {
+    known_lens(name).is_some()
+}
+
+/// The camera with its distortion.
+fn lens_of(
+    name: &str,
+    camera: Option<&CameraConfig>,
+    usual_camera: Option<&CameraConfig>,
+    [width, height]: [usize; 2],
+) -> Result<Lens> {
+    let refuse = |problem: String| Err(Error::config("data.camera", problem));
+    let beside = format!("{{ drive = \"{name}\", camera = {{ … }} }}");
+    let lens = match (camera, known_lens(name), usual_camera) {
+        (Some(camera), ..) => camera.lens(),
+        (None, Some(known), Some(usual)) if usual.lens() != known => {
+            return refuse(format!(
+                "is another than that of the TUM benchmark which the name of `{name}` says; give the one that is right beside it: {beside}"
+            ));
         }
-        None => {
-            let lower = name.to_lowercase();
-            let known = KNOWN.iter().find(|(names, ..)| names.iter().any(|known| lower.contains(known)));
-            let Some((_, intrinsics, distortion)) = known else {
-                return Err(Error::config(
-                    "data.camera",
-                    format!(
-                        "nothing tells the camera of `{name}`, whose name is none of fr1, fr2, fr3; give data.camera = {{ width, height, fx, fy, cx, cy, distortion }}, px, or `camera` beside its `drive`"
-                    ),
-                ));
-            };
-            if [width, height] != KNOWN_SIZE {
-                return Err(Error::config(
-                    "data.camera",
-                    format!(
-                        "the known camera of `{name}` has images of 640x480 pixels, and these have {width}x{height}; give data.camera"
-                    ),
-                ));
-            }
-            (*intrinsics, *distortion)
+        (None, Some(known), _) => known,
+        (None, None, Some(usual)) => usual.lens(),
+        (None, None, None) => {
+            return refuse(format!(
+                "nothing tells the camera of `{name}`, whose name has no word fr1, fr2 or fr3; give data.camera = {{ width, height, fx, fy, cx, cy, distortion }}, px, or {beside}"
+            ));
         }
     };
-    let [fx, fy, cx, cy] = intrinsics;
-    let camera = Pinhole { fx, fy, cx, cy, width, height };
+    let camera = lens.camera;
+    if [camera.width, camera.height] != [width, height] {
+        return refuse(format!(
+            "is of images of {}x{} pixels, and those of `{name}` have {width}x{height}; give its own, {beside}",
+            camera.width, camera.height
+        ));
+    }
     camera
         .require_centre()
         .map_err(|found| Error::config("data.camera", format!("`{name}`: {found}; expected {OWN_INTRINSICS}")))?;
-    Ok(Lens { camera, distortion })
+    Ok(lens)
 }
 
 fn no_rectified(name: &str) -> Error {

@@ -14,6 +14,7 @@ mod fuse_cli;
 mod images_as_people_have_them;
 mod kitti;
 mod layouts;
+mod layouts_in_trouble;
 mod monodepth2;
 mod nothing_silent;
 mod oracles;

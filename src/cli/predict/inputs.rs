@@ -8,7 +8,7 @@ use crate::depth::DepthConfig;
 use crate::error::{Error, Place, Result};
 use crate::files::extension;
 use crate::pairs::{DataConfig, DriveConfig};
-use crate::recordings::{Manifest, MeasurementFrame, locate_recording};
+use crate::recordings::{Manifest, MeasurementFrame, is_known_camera, locate_recording};
 use crate::systems::{RelativeConfig, SystemConfig, SystemSource, TrajectoryConfig, TrajectoryFormat, TruthConfig};
 
 /// The measurements of one drive.
@@ -34,16 +34,26 @@ pub(super) fn of_drive(arguments: &PredictArguments, config: Config, drive: &Pat
         MeasurementFormat::Tum => trajectory(TrajectoryFormat::Tum),
         MeasurementFormat::Relative => SystemSource::Relative(RelativeConfig { path: path.clone(), frame }),
     };
-    let takes = |key: &str| arguments.changes(key) || located.layout.takes_camera();
+    let takes = |key: &str, taken: bool| arguments.changes(key) || taken;
+    // What a run says of its camera is of no other kind of recording, nor of one whose camera is known.
+    let (takes_camera, takes_vehicle) = (located.layout.takes_camera(), located.layout.takes_vehicle());
+    let own_camera = takes("data.camera", takes_camera && !is_known_camera(&located.name));
+    let camera = config.data.camera.clone().filter(|_| own_camera);
+    let depth = match located.brings_depth() && !arguments.changes("depth") {
+        true => DepthConfig::Recording {},
+        false => config.depth.clone(),
+    };
     Ok(Config {
         data: DataConfig {
             root: located.root,
             layout: Some(located.layout),
-            // What a run says of its camera is of no other kind of recording.
-            camera: config.data.camera.clone().filter(|_| takes("data.camera")),
-            camera_from_vehicle: config.data.camera_from_vehicle.filter(|_| takes("data.camera_from_vehicle")),
-            ..only_test(arguments, &config.data, vec![DriveConfig { drive: located.name, frames: None, camera: None }])
+            camera_from_vehicle: config
+                .data
+                .camera_from_vehicle
+                .filter(|_| takes("data.camera_from_vehicle", takes_vehicle)),
+            ..only_test(arguments, &config.data, vec![DriveConfig { drive: located.name, frames: None, camera }])
         },
+        depth,
         truth: TruthConfig::Recording {},
         systems: vec![SystemConfig { name: system, share: 1.0, source }],
         ..config
