@@ -1,7 +1,7 @@
 #!/usr/bin/env -S uv run --script
 # /// script
 # requires-python = ">=3.10"
-# dependencies = ["opencv-python-headless>=4.8", "numpy"]
+# dependencies = ["opencv-python-headless>=5", "numpy"]
 # ///
 """Undistortion by OpenCV: the numbers that relcov's lenses are compared with.
 

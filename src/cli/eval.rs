@@ -96,6 +96,9 @@ pub fn run(arguments: EvalArguments, terminal: &Terminal) -> anyhow::Result<()> 
     if arguments.run.is_some() {
         arguments.overrides.refuse_model_keys()?;
     }
+    if arguments.output.replaces() {
+        spare_data(&arguments)?;
+    }
     let split = arguments.split.name();
     let entry = match (&arguments.run, &arguments.pairs, &arguments.config) {
         (Some(run), _, config) => {
@@ -288,6 +291,20 @@ pub fn report_gaps(entry: &Entry, terminal: &Terminal) {
             note(terminal.quiet, &text);
         }
     }
+}
+
+/// That no result is written over the data.
+///
+/// # Errors
+/// One would be.
+fn spare_data(arguments: &EvalArguments) -> anyhow::Result<()> {
+    let of_run = arguments.run.as_deref().map(|run| RunFolder::at(run).config_path());
+    let Some(path) = arguments.config.clone().or(of_run) else { return Ok(()) };
+    let config = arguments.overrides.load(&path)?;
+    // Data that are not there yet, or cannot be read, are told of where they are evaluated.
+    let Ok(dataset) = Dataset::load(&config.pairs(), PairScope::Poses) else { return Ok(()) };
+    let files = dataset.files(&config.pairs());
+    Ok(arguments.output.require_apart(&files.iter().map(PathBuf::as_path).collect::<Vec<_>>())?)
 }
 
 /// The baselines, fitted to the training split, on another one; poses alone.

@@ -12,7 +12,7 @@ use crate::config::Config;
 use crate::depth::{DepthCache, DepthConfig};
 use crate::device::open_device;
 use crate::evaluation::warp_pair;
-use crate::files::write_atomically;
+use crate::files::{require_apart, write_atomically};
 use crate::geometry::{Pinhole, Pose};
 use crate::pairs::{Coverage, Dataset, Pair, PairId, PairReader, PairSample, PairScope, SplitName};
 use crate::recordings::Recording;
@@ -61,7 +61,11 @@ pub fn run(arguments: &InspectArguments) -> anyhow::Result<()> {
     let dataset = Dataset::load(&found.pairs(), PairScope::Images)?;
     print_result(&describe(&config, &dataset, depth_problem))?;
     match &arguments.contact_sheet {
-        Some(path) => draw_contact_sheet(path, usize::from(arguments.pairs), &found, &dataset),
+        Some(path) => {
+            let read = dataset.files(&found.pairs());
+            require_apart(path, &read.iter().map(PathBuf::as_path).collect::<Vec<_>>())?;
+            draw_contact_sheet(path, usize::from(arguments.pairs), &found, &dataset)
+        }
         None => Ok(()),
     }
 }
@@ -237,14 +241,23 @@ fn problems(dataset: &Dataset) -> Vec<String> {
         match (pose_pairs, image_pairs, depth_pairs) {
             (0, ..) => Some(format!("{drive}: no pairs of true poses")),
             (_, 0, _) => Some(format!("{drive}: no image pairs, so none of its {pose_pairs} pose pairs can be used")),
-            (.., 0) => Some(format!("{drive}: no depth, so none of its {image_pairs} image pairs can be used")),
+            (.., 0) => {
+                let missing = coverage.missing_depth.as_ref();
+                let looked = missing.map_or(String::new(), |path| format!(" (not found: {})", path.display()));
+                Some(format!("{drive}: no depth{looked}, so none of its {image_pairs} image pairs can be used"))
+            }
             _ => None,
         }
     });
+    let gap = || match dataset.gaps.as_slice() {
+        [] => String::new(),
+        gaps => format!(" {gaps:?} frames apart (data.gap)"),
+    };
     let unmeasured = dataset.coverage.iter().flat_map(|coverage| {
         let counts = coverage.measured_pairs.iter().zip(&coverage.missing_files).zip(&dataset.systems);
         let empty = counts.filter(|((measured, missing), _)| **measured == 0 && missing.is_none());
-        empty.map(move |(_, system)| format!("{}: `{system}` measured no pair with true poses", name(coverage)))
+        empty
+            .map(move |(_, system)| format!("{}: `{system}` measured no pair with true poses{}", name(coverage), gap()))
     });
     let absent = dataset.drives.iter().filter(|drive| drive.listed.is_some()).filter_map(|drive| {
         let absent: Vec<_> = drive.images.values().filter(|path| !path.is_file()).collect();

@@ -1,8 +1,10 @@
 //! `relcov manifest`.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use nalgebra::UnitQuaternion;
 
 use super::overrides::Overrides;
 use super::progress::note;
@@ -13,7 +15,8 @@ use crate::depth::DepthConfig;
 use crate::error::Error;
 use crate::files::{extension, require_apart, write_atomically};
 use crate::pairs::{Dataset, PairScope, manifest_of};
-use crate::systems::{SystemSource, measurement_file};
+use crate::recordings::camera_axes_from_vehicle;
+use crate::systems::SystemSource;
 
 /// Arguments of `relcov manifest`.
 #[derive(Args)]
@@ -43,14 +46,12 @@ pub fn run(arguments: &ManifestArguments, terminal: &Terminal) -> anyhow::Result
     let config = arguments.overrides.load(&arguments.config)?;
     synth::make_if_asked(&config, terminal)?;
     let dataset = Dataset::load(&config.pairs(), PairScope::Measured)?;
-    require_apart(
-        &arguments.out,
-        &files_read(arguments, &config, &dataset).iter().map(PathBuf::as_path).collect::<Vec<_>>(),
-    )?;
+    let read = [vec![arguments.config.clone()], dataset.files(&config.pairs())].concat();
+    require_apart(&arguments.out, &read.iter().map(PathBuf::as_path).collect::<Vec<_>>())?;
     let absolute = std::path::absolute(&arguments.out).map_err(Error::io("write", &arguments.out))?;
     let splits = [&dataset.train, &dataset.validation, &dataset.test];
     if splits.iter().all(|split| split.pairs.is_empty()) {
-        let problem = "no pair has images, depth and a measured pose; relcov inspect shows what is there";
+        let problem = "no pair has images, depth and a measured pose (a generated one needs a true pose); relcov inspect shows what is there";
         return Err(Error::Data(problem.to_owned()).into());
     }
     let text = manifest_of(&dataset, &config.depth, absolute.parent().unwrap_or(Path::new("")));
@@ -74,6 +75,16 @@ fn what_is_left_out(config: &Config, dataset: &Dataset) -> Vec<String> {
     if unjudged > 0 {
         lines.push(format!("no true pose of {unjudged} of {} pairs: their true_… stay empty", pairs().count()));
     }
+    let axes = dataset.drives.iter().map(|drive| drive.calibration.camera_from_vehicle);
+    let told = axes.filter(|axes| *axes != camera_axes_from_vehicle()).map(|axes| {
+        let [x, y, z, w] = UnitQuaternion::from_rotation_matrix(&axes.rotation).coords.into();
+        let t = axes.translation;
+        format!(
+            "its vehicle axes are those of: data.camera_from_vehicle = [{}, {}, {}, {x}, {y}, {z}, {w}]",
+            t.x, t.y, t.z
+        )
+    });
+    lines.extend(told.collect::<BTreeSet<_>>());
     let lenses = dataset.drives.iter().any(|drive| drive.lens.is_some());
     match &config.depth {
         DepthConfig::GroundPlane { .. } | DepthConfig::Lidar { .. } => lines.push(
@@ -89,13 +100,4 @@ fn what_is_left_out(config: &Config, dataset: &Dataset) -> Vec<String> {
         lines.push("a manifest has no right images: they are left out".to_owned());
     }
     lines
-}
-
-/// All that the manifest is made of.
-fn files_read(arguments: &ManifestArguments, config: &Config, dataset: &Dataset) -> Vec<PathBuf> {
-    let measured = dataset.drives.iter().flat_map(|drive| {
-        config.systems.iter().filter_map(|system| measurement_file(system, drive, &config.data.root))
-    });
-    let recorded = dataset.drives.iter().flat_map(|drive| drive.files().map(Path::to_owned));
-    [arguments.config.clone()].into_iter().chain(measured).chain(recorded).collect()
 }

@@ -79,9 +79,17 @@ impl OutputArguments {
     /// # Errors
     /// Something would be.
     pub fn require_apart(&self, read: &[&Path]) -> Result<()> {
+        self.written().try_for_each(|path| require_apart(&path, read))
+    }
+
+    /// Whether a file that will be written is there already.
+    pub fn replaces(&self) -> bool {
+        self.written().any(|path| path.exists())
+    }
+
+    fn written(&self) -> impl Iterator<Item = PathBuf> {
         let results = self.save_results.iter().flat_map(|path| [path.clone(), path.with_extension("csv")]);
-        let mut written = results.chain(self.save_table.clone());
-        written.try_for_each(|path| require_apart(&path, read))
+        results.chain(self.save_table.clone())
     }
 
     /// Prints the table and writes what was asked for. The table first: a folder that cannot be written must

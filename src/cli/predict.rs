@@ -7,7 +7,7 @@ mod stream;
 mod verdicts;
 
 use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use super::choices::FrameArgument;
 use super::progress::{Progress, note};
@@ -20,7 +20,6 @@ use crate::error::Error;
 use crate::export::{Format, MeasuredMotions};
 use crate::pairs::{Dataset, PairScope, Split, SplitName};
 use crate::predict::Model;
-use crate::systems::measurement_file;
 use crate::training::RunFolder;
 use inputs::{lenient, of_drive, of_manifest, with_system};
 use sink::Sink;
@@ -92,11 +91,7 @@ pub fn run(arguments: &PredictArguments, terminal: &Terminal) -> anyhow::Result<
 /// All that predictions are made of.
 fn files_read(arguments: &PredictArguments, config: &Config, dataset: &Dataset) -> Vec<PathBuf> {
     let named = [&arguments.measurements, &arguments.manifest, &arguments.config].into_iter().flatten().cloned();
-    let measured = dataset.drives.iter().flat_map(|drive| {
-        config.systems.iter().filter_map(|system| measurement_file(system, drive, &config.data.root))
-    });
-    let recorded = dataset.drives.iter().flat_map(|drive| drive.files().map(Path::to_owned));
-    named.chain(RunFolder::at(&arguments.run).files()).chain(measured).chain(recorded).collect()
+    named.chain(RunFolder::at(&arguments.run).files()).chain(dataset.files(&config.pairs())).collect()
 }
 
 /// Says what stands in place of times that are not known, in formats that have them.

@@ -3,6 +3,9 @@
 use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
+/// Least focal length in widths and heights of the image: it sees 169 degrees.
+const LEAST_FOCAL_LENGTH: f64 = 0.05;
+
 /// What intrinsics should be, for messages.
 pub(crate) const OWN_INTRINSICS: &str = "intrinsics fx, fy, cx, cy at the image's own size, px";
 
@@ -24,15 +27,19 @@ pub struct Pinhole {
 }
 
 impl Pinhole {
-    /// That its principal point lies in the image, as it does unless the intrinsics are those of another size.
+    /// That its principal point lies in the image, as it does unless the intrinsics are those of another size, and that it
+    /// does not see all before it, as one does whose focal lengths are no pixels.
     ///
     /// # Errors
     /// It does not; both are named.
     pub fn require_centre(&self) -> Result<(), String> {
-        let Self { cx, cy, width, height, .. } = *self;
-        match (0.0..=width as f64).contains(&cx) && (0.0..=height as f64).contains(&cy) {
+        let Self { fx, fy, cx, cy, width, height } = *self;
+        if !((0.0..=width as f64).contains(&cx) && (0.0..=height as f64).contains(&cy)) {
+            return Err(format!("a principal point ({cx}, {cy}) outside the image of {width}x{height}"));
+        }
+        match fx > LEAST_FOCAL_LENGTH * width as f64 && fy > LEAST_FOCAL_LENGTH * height as f64 {
             true => Ok(()),
-            false => Err(format!("a principal point ({cx}, {cy}) outside the image of {width}x{height}")),
+            false => Err(format!("focal lengths ({fx}, {fy}), which see a half space in an image of {width}x{height}")),
         }
     }
 

@@ -52,6 +52,8 @@ pub(super) struct Absence<'a> {
     pub coverage: &'a [Coverage],
     pub recordings: &'a [Recording],
     pub scope: PairScope,
+    /// `data.gap`.
+    pub gaps: &'a [usize],
 }
 
 impl Absence<'_> {
@@ -98,6 +100,9 @@ impl Absence<'_> {
         }
         let cut =
             shown.frames.map_or(String::new(), |[first, end]| format!(", frames {first} … {}", end.saturating_sub(1)));
+        if !self.gaps.is_empty() {
+            sides.push(format!("pairs are {:?} frames apart (data.gap)", self.gaps));
+        }
         Error::Data(format!("no pair of `{label}` in {drive}{cut}{elsewhere} has all it needs: {}", sides.join(", ")))
     }
 }

@@ -11,11 +11,11 @@ use super::pair::{Pair, PairId, PairScope};
 use super::pairing::Pairing;
 use super::settings::{DriveConfig, PairSettings};
 use super::split::{Split, SplitName};
-use crate::depth::{DepthCache, DepthConfig};
+use crate::depth::{DepthCache, DepthConfig, depth_file};
 use crate::error::{Error, Result};
 use crate::recordings::Recording;
 use crate::synthetic::{SYSTEMS, is_synthetic};
-use crate::systems::{RelativeConfig, SystemConfig, SystemSource, TruthConfig};
+use crate::systems::{RelativeConfig, SystemConfig, SystemSource, TruthConfig, measurement_file, truth_file};
 
 /// What an experiment works with.
 #[derive(Clone, Debug)]
@@ -24,6 +24,8 @@ pub struct Dataset {
     pub scope: PairScope,
     /// Folder of the data.
     pub root: PathBuf,
+    /// How many frames apart pairs were asked for; none: not asked for.
+    pub gaps: Vec<usize>,
     /// What tells the depth maps of a network from those of another; none for other sources.
     pub depth: Option<String>,
     /// Every drive named by a split, once.
@@ -82,6 +84,7 @@ impl Dataset {
         let dataset = Self {
             scope,
             root: config.data.root.clone(),
+            gaps: config.data.gap.clone(),
             drives,
             depth,
             systems: config.systems.iter().map(|system| system.name.clone()).collect(),
@@ -98,10 +101,33 @@ impl Dataset {
         Ok(dataset)
     }
 
+    /// All files that it was read from, and is to be read from.
+    pub(crate) fn files(&self, config: &PairSettings) -> Vec<PathBuf> {
+        let named = self.drives.iter().flat_map(|drive| {
+            let measured = config.systems.iter().filter_map(|system| measurement_file(system, drive, &self.root));
+            measured.chain(truth_file(config.truth, drive, &self.root))
+        });
+        let depth = self.drives.iter().flat_map(|drive| {
+            drive.images.keys().filter_map(|&frame| depth_file(config.depth, drive, frame, &self.root))
+        });
+        let recorded = self.drives.iter().flat_map(|drive| drive.files().map(Path::to_owned));
+        recorded.chain(named).chain(depth).collect()
+    }
+
     /// A pair that is learned from proves nothing when it is evaluated.
     fn refuse_overlap(&self, evaluated: &Split) -> Result<()> {
         let learned: BTreeSet<PairId> = self.train.pairs.iter().map(|pair| pair.id).collect();
-        let Some(shared) = evaluated.pairs.iter().find(|pair| learned.contains(&pair.id)) else { return Ok(()) };
+        let in_range = |id: &PairId, of: &Coverage| {
+            of.split == SplitName::Train
+                && of.drive == id.drive
+                && of.frames.is_none_or(|[first, end]| (first..end).contains(&id.source))
+        };
+        // Of pairs over several frames not one may be in both, and their frames are.
+        let is_listed = self.coverage.iter().any(|coverage| coverage.split == evaluated.name);
+        let shares = |id: &PairId| {
+            learned.contains(id) || is_listed && self.coverage.iter().any(|coverage| in_range(id, coverage))
+        };
+        let Some(shared) = evaluated.pairs.iter().find(|pair| shares(&pair.id)) else { return Ok(()) };
         Err(Error::config(
             format!("data.{}", evaluated.name.name()),
             format!(
@@ -128,7 +154,8 @@ impl Dataset {
         let split = self.split(name);
         for (system, range) in split.systems.iter().enumerate() {
             if range.is_empty() {
-                let absence = Absence { coverage: &self.coverage, recordings: &self.drives, scope: self.scope };
+                let absence =
+                    Absence { coverage: &self.coverage, recordings: &self.drives, scope: self.scope, gaps: &self.gaps };
                 return Err(absence.explain(name, system, &self.systems[system]));
             }
         }

@@ -6,10 +6,10 @@ use std::sync::Once;
 use fast_image_resize::images::Image as ResizeImage;
 use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
 use image::metadata::Orientation;
-use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
+use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 
 use crate::error::{Error, Place, Result};
-use crate::files::{read_bytes, require_regular};
+use crate::files::{read_bytes, require_readable, require_regular};
 
 /// Largest width and height, px, and largest size of a decoded image: a small file can claim to hold far more.
 pub(super) const MOST_PIXELS: u32 = 16_384;
@@ -148,9 +148,20 @@ pub(super) fn size_of_first<'a>(mut images: impl Iterator<Item = &'a PathBuf>) -
     image_size(first).or_else(|error| images.find_map(|image| image_size(image).ok()).ok_or(error))
 }
 
+/// Whether an image is 16-bit grey, by its header; one that cannot be read is not.
+pub(super) fn is_grey_16(path: &Path) -> bool {
+    let read = || {
+        require_regular(path).ok()?;
+        let reader = ImageReader::open(path).ok()?.with_guessed_format().ok()?;
+        Some(reader.into_decoder().ok()?.color_type() == ColorType::L16)
+    };
+    read() == Some(true)
+}
+
 /// Width and height of an image file, px, by its header.
 fn image_size(path: &Path) -> Result<[usize; 2]> {
     require_regular(path)?;
+    require_readable(path)?;
     let reader = ImageReader::open(path).map_err(Error::io("read", path))?;
     let reader = reader.with_guessed_format().map_err(Error::io("read", path))?;
     let (width, height) = reader

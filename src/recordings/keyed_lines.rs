@@ -66,17 +66,18 @@ impl KeyedLines {
 
     /// A camera of this size (width and height, px) by its 3x4 matrix `P = K [I | t]`, and where camera 0 is to it.
     pub(super) fn projection(&self, key: &str, size: [usize; 2]) -> Result<(Pinhole, Pose)> {
-        let [fx, skew, cx, px, _, fy, cy, py, _, _, _, pz] = self.numbers::<12>(key)?;
-        let usable = fx > 0.0 && fy > 0.0 && skew == 0.0 && size.iter().all(|&pixels| pixels >= 2);
+        let [fx, skew, cx, px, lower, fy, cy, py, zero, other, one, pz] = self.numbers::<12>(key)?;
+        let is_projection = [skew, lower, zero, other] == [0.0; 4] && one == 1.0;
+        let usable = fx > 0.0 && fy > 0.0 && is_projection && size.iter().all(|&pixels| pixels >= 2);
         if !usable {
             return Err(Error::malformed(
                 &self.path,
                 Place::Field(key.to_owned()),
-                format!("fx {fx}, fy {fy}, skew {skew}, size {size:?}"),
-                "a pinhole camera without skew",
+                format!("rows ({fx} {skew} {cx}), ({lower} {fy} {cy}), ({zero} {other} {one}), size {size:?}"),
+                "a pinhole camera without skew: rows (fx 0 cx), (0 fy cy), (0 0 1)",
             ));
         }
-        let offset = Vector3::new((px - cx * pz) / fx, (py - cy * pz) / fy, pz);
+        let offset = self.near(key, Vector3::new((px - cx * pz) / fx, (py - cy * pz) / fy, pz))?;
         let [width, height] = size;
         let camera = Pinhole { fx, fy, cx, cy, width, height };
         Ok((camera, Pose { translation: offset, ..Pose::identity() }))

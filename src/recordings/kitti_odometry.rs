@@ -48,12 +48,22 @@ pub fn load_kitti_odometry(root: &Path, name: &str, camera_from_vehicle: Option<
         return Err(Error::Data(format!("{folder}: no images in image_2 or image_0, which are named by their frame")));
     };
     let scans = list_frames(&folder.join("velodyne"), &["bin"])?;
+    let mut remarks = Vec::new();
+    let grey = if left == CAMERAS[0][0] { images_of(CAMERAS[1][0])?.len() } else { 0 };
+    if grey > images.len() {
+        let (folder, colour) = (folder.display(), images.len());
+        remarks.push(format!("{folder}: {colour} colour images are used, and there are {grey} grey ones in image_0"));
+    }
     let size = size_of_first(images.values())?;
     let calibration =
         load_calibration(&folder.join("calib.txt"), [left, right], size, !scans.is_empty(), camera_from_vehicle)?;
-    let (mut remarks, mut time_problems) = (Vec::new(), Vec::new());
+    let mut time_problems = Vec::new();
     let (times_file, poses_file) = (folder.join("times.txt"), root.join("poses").join(format!("{name}.txt")));
     let times = load_times([(times_file.as_path(), &images)], &mut time_problems);
+    if !times.is_empty() && times.len() != images.len() {
+        let (path, times, images) = (times_file.display(), times.len(), images.len());
+        remarks.push(format!("{path}: {times} times beside {images} images; that of line k is taken for image k - 1"));
+    }
     if times.is_empty() && time_problems.is_empty() {
         remarks.push(format!("{}: not there; the times of its frames are not known", times_file.display()));
     }
@@ -115,7 +125,13 @@ fn load_poses(
 ) -> Result<BTreeMap<usize, Pose>> {
     let poses: Trajectory = match parse_kitti_poses(&read_text(path)?, path)? {
         KittiPoses::Framed(poses) => poses,
-        KittiPoses::Rows(rows) => frames_of(rows.len(), path, images, times)?.into_iter().zip(rows).collect(),
+        KittiPoses::Rows(rows) => {
+            if times.is_empty() && rows.len() != images.len() {
+                let (path, rows, images) = (path.display(), rows.len(), images.len());
+                remarks.push(format!("{path}: {rows} rows beside {images} images, taken for frames 0 … {}", rows - 1));
+            }
+            frames_of(rows.len(), path, images, times)?.into_iter().zip(rows).collect()
+        }
     };
     let lacking = images.keys().filter(|frame| !poses.contains_key(frame)).count();
     if lacking > 0 {

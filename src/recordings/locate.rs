@@ -33,7 +33,10 @@ impl Layout {
     /// Whether something of this layout is in a folder, complete or not.
     fn fits(self, folder: &Path) -> bool {
         match self {
-            Self::KittiRaw | Self::KittiOdometry => folder.is_dir(),
+            Self::KittiRaw => {
+                ["image_02", "image_03", "oxts", "velodyne_points"].iter().any(|part| folder.join(part).is_dir())
+            }
+            Self::KittiOdometry => folder.is_dir(),
             Self::TumRgbd => ["rgb.txt", "rgb", "depth.txt"].iter().any(|part| folder.join(part).exists()),
             Self::Euroc => folder.join("mav0").is_dir(),
             Self::Manifest => false,

@@ -113,8 +113,8 @@ impl Columns {
         if camera.intrinsics[0] <= 0.0 || camera.intrinsics[1] <= 0.0 {
             return Err(row.broken(camera.to_string(), "fx and fy above zero"));
         }
-        if camera.depth_factor <= 0.0 {
-            return Err(row.broken(format!("depth_factor {}", camera.depth_factor), "steps of a metre, above zero"));
+        if !(1.0..=1e6).contains(&camera.depth_factor) {
+            return Err(row.broken(format!("depth_factor {}", camera.depth_factor), "steps of a metre, 1 to 1e6"));
         }
         let true_pose = self.true_pose.as_ref().map(|columns| row.all_or_none(columns)).transpose()?.flatten();
         let time = |column: Option<usize>| {

@@ -43,7 +43,7 @@ pub use oxts::{OxtsPacket, world_from_vehicle};
 pub(crate) use recording::KITTI_STEPS_PER_METRE;
 pub use recording::{FrameFiles, Listed, Motions, Recording};
 pub use settings::CameraConfig;
-pub(crate) use trajectory::{KittiPoses, LARGEST_MOTION_M, parse_kitti_poses, pose_from_quaternion};
+pub(crate) use trajectory::{KittiPoses, LARGEST_MOTION_M, parse_kitti_poses, pose_from_quaternion, stated_axes};
 pub use trajectory::{Trajectory, parse_kitti_trajectory, parse_tum_trajectory};
 pub(crate) use tum_rgbd::is_known_camera;
 pub use tum_rgbd::load_tum_rgbd;

@@ -13,6 +13,7 @@ use super::tum_rgbd::load_tum_rgbd;
 use crate::error::{Error, Result};
 use crate::files::is_plain;
 use crate::geometry::Pose;
+use crate::time::Time;
 
 /// What is known of a recording beside where it lies.
 #[derive(Clone, Copy, Debug, Default)]
@@ -47,15 +48,31 @@ pub fn open_recording(root: &Path, name: &str, opening: &Opening) -> Result<Reco
         return Err(Error::config("data.camera_from_vehicle", problem));
     }
     let folder = root.join(name);
-    match layout {
-        Layout::KittiRaw => load_kitti_raw(root, name),
-        Layout::KittiOdometry => load_kitti_odometry(root, name, opening.camera_from_vehicle),
+    let recording = match layout {
+        Layout::KittiRaw => load_kitti_raw(root, name)?,
+        Layout::KittiOdometry => load_kitti_odometry(root, name, opening.camera_from_vehicle)?,
         Layout::TumRgbd => {
-            load_tum_rgbd(&folder, name, opening.camera, opening.usual_camera, opening.camera_from_vehicle)
+            load_tum_rgbd(&folder, name, opening.camera, opening.usual_camera, opening.camera_from_vehicle)?
         }
-        Layout::Euroc => load_euroc(&folder, name),
+        Layout::Euroc => load_euroc(&folder, name)?,
         Layout::Manifest => {
-            Err(Error::config("data.layout", "`manifest` needs the file: data.manifest = \"pairs.csv\""))
+            return Err(Error::config("data.layout", "`manifest` needs the file: data.manifest = \"pairs.csv\""));
         }
-    }
+    };
+    let remark = remark_of_rate(&recording);
+    Ok(Recording { remarks: recording.remarks.iter().cloned().chain(remark).collect(), ..recording })
+}
+
+/// Frames of cameras are not farther apart in time, s, nor nearer: times may be in other units.
+const USUAL_PERIOD_S: std::ops::RangeInclusive<f64> = 1e-4..=10.0;
+
+fn remark_of_rate(recording: &Recording) -> Option<String> {
+    let times: Vec<Time> = recording.times.values().copied().collect();
+    let mut periods: Vec<f64> = times.windows(2).map(|pair| pair[1].since(pair[0])).collect();
+    periods.sort_by(f64::total_cmp);
+    let median = *periods.get(periods.len() / 2)?;
+    let unusual = !USUAL_PERIOD_S.contains(&median);
+    unusual.then(|| {
+        format!("its frames are {median} s apart by their times ({}); are those seconds?", recording.layout.times())
+    })
 }

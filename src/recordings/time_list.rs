@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::ffi::OsString;
+use std::fs::DirEntry;
 use std::path::{Path, PathBuf};
 
 use super::association::Association;
@@ -49,6 +50,7 @@ impl TimeList {
         let folder = path.parent().unwrap_or(Path::new("")).join(form.folder);
         let mut list = Self { files: Vec::new(), path: path.to_owned(), first_absent: None };
         let mut folders = FolderContents::default();
+        let mut names = HashSet::new();
         for (place, line) in rows(&text) {
             let malformed = |found: String, expected: &str| Error::malformed(path, place.clone(), found, expected);
             let Some((word, name)) = line.trim().split_once(form.separates) else {
@@ -60,6 +62,9 @@ impl TimeList {
                 return Err(malformed(format!("time {time} after {last}"), "increasing times"));
             }
             let path = folder.join(name.trim());
+            if !names.insert(path.clone()) {
+                return Err(malformed(format!("{} again", excerpt(name.trim())), "each file once"));
+            }
             let is_there = folders.hold(&path);
             if let (false, None, Place::Line(line)) = (is_there, list.first_absent, &place) {
                 list.first_absent = Some(*line);
@@ -69,6 +74,22 @@ impl TimeList {
         match list.files.is_empty() {
             true => Err(Error::malformed(path, Place::Whole, "no row", format!("lines of {}", form.expected_line))),
             false => Ok(list),
+        }
+    }
+
+    /// That no file stands in another list too.
+    ///
+    /// # Errors
+    /// One does: one of the lists is another's.
+    pub(super) fn require_others(&self, other: &Self) -> Result<()> {
+        let known: HashSet<&Path> = other.files.iter().map(|file| file.path.as_path()).collect();
+        match self.files.iter().find(|file| known.contains(file.path.as_path())) {
+            None => Ok(()),
+            Some(file) => {
+                let (path, other) = (file.path.display(), other.path.display());
+                let expected = format!("files that {other} does not list");
+                Err(Error::malformed(&self.path, Place::Whole, path.to_string(), expected))
+            }
         }
     }
 
@@ -87,7 +108,8 @@ impl TimeList {
         match frames.is_empty() {
             false => Ok(frames),
             true => {
-                let found = format!("{} images, none of which is there", self.files.len());
+                let first = self.files.first().map_or(String::new(), |file| file.path.display().to_string());
+                let found = format!("{} images, none of which is there, the first {first}", self.files.len());
                 Err(Error::malformed(&self.path, Place::Whole, found, "names of files below its folder"))
             }
         }
@@ -150,7 +172,12 @@ impl FolderContents {
         let (folder, name) = (file.parent().unwrap_or(Path::new("")), file.file_name());
         if !self.0.contains_key(folder) {
             let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-            self.0.insert(folder.to_owned(), entries.map(|entry| entry.file_name()).collect());
+            // A link may lead nowhere, and a folder is no file.
+            let is_file = |entry: &DirEntry| match entry.file_type() {
+                Ok(kind) if kind.is_symlink() => entry.path().is_file(),
+                kind => kind.is_ok_and(|kind| kind.is_file()),
+            };
+            self.0.insert(folder.to_owned(), entries.filter(is_file).map(|entry| entry.file_name()).collect());
         }
         name.is_some_and(|name| self.0[folder].contains(name))
     }

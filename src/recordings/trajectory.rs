@@ -8,7 +8,7 @@ use nalgebra::{Matrix3x4, Quaternion, Rotation3, UnitQuaternion, Vector3};
 use super::association::Association;
 use crate::error::{Error, Place, Result, excerpt};
 use crate::files::{frame_index, parse_numbers, remarks, rows};
-use crate::geometry::Pose;
+use crate::geometry::{ErrorFrame, Pose};
 use crate::time::{EXPECTED_NANOSECONDS, EXPECTED_SECONDS, Time};
 
 /// Largest `|RᵀR − I|` of a rotation in a trajectory file (files with six digits exist).
@@ -142,7 +142,9 @@ pub(super) fn parse_euroc_trajectory(
     frame_times: &BTreeMap<usize, Time>,
     tolerance_s: f64,
 ) -> Result<FramePoses> {
-    if let Some((place, remark)) = remarks(text).find(|(_, remark)| names_w_after_x(remark)) {
+    if let Some((place, remark)) =
+        remarks(text).find(|(_, remark)| quaternion_columns(remark).is_some_and(|(x, w)| x < w))
+    {
         return Err(Error::malformed(path, place, excerpt(remark), format!("columns {EUROC_COLUMNS}")));
     }
     let mut poses = TimedPoses::new(path, frame_times, tolerance_s);
@@ -237,23 +239,29 @@ fn poses_of_frames(nearest: Association, poses: &[Pose], span: [Time; 2], path: 
     Ok(FramePoses { poses: nearest.into_iter().map(|(frame, index)| (frame, poses[index])).collect(), remark })
 }
 
+/// The axes that the first line of a TUM trajectory states which relcov wrote: `…, axes: vehicle`.
+pub(crate) fn stated_axes(text: &str) -> Option<ErrorFrame> {
+    let (_, remark) = remarks(text).next()?;
+    let (_, axes) = remark.split_once("axes: ")?;
+    ErrorFrame::of(axes.split(|c: char| !c.is_alphabetic()).next()?)
+}
+
 /// That a remark which names columns names them as TUM files have them.
 fn require_tum_order(text: &str, path: &Path) -> Result<()> {
     for (place, remark) in remarks(text) {
-        let words: Vec<&str> = remark.split(|c: char| !c.is_alphanumeric()).collect();
-        let at = |name: &str| words.iter().position(|word| *word == name);
-        if at("qw").zip(at("qx")).is_some_and(|(w, x)| w < x) {
+        if quaternion_columns(remark).is_some_and(|(x, w)| w < x) {
             return Err(Error::malformed(path, place, excerpt(remark), "columns t x y z qx qy qz qw, w the last"));
         }
     }
     Ok(())
 }
 
-/// Whether a remark names columns of a quaternion, x before w: `q_RS_x`, `q_RS_w`.
-fn names_w_after_x(remark: &str) -> bool {
+/// Where a remark names the columns x and w of a quaternion: `qx`, `q_w`, `q_RS_x`.
+fn quaternion_columns(remark: &str) -> Option<(usize, usize)> {
+    let remark = remark.to_lowercase();
     let words: Vec<&str> = remark.split(|c: char| !(c.is_alphanumeric() || c == '_')).collect();
-    let at = |axis: char| words.iter().position(|word| word.starts_with('q') && word.ends_with(axis));
-    at('x').zip(at('w')).is_some_and(|(x, w)| x < w)
+    let at = |axis: char| words.iter().position(|word| word.starts_with('q') && word.ends_with(axis) && word.len() > 1);
+    at('x').zip(at('w'))
 }
 
 /// A pose from translation and quaternion `x y z w`, which is normalised.

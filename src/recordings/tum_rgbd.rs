@@ -9,16 +9,16 @@ use std::path::Path;
 
 use super::association::LARGEST_DISTANCE_S;
 use super::calibration::Calibration;
-use super::image::size_of_first;
+use super::image::{is_grey_16, size_of_first};
 use super::layout::Layout;
 use super::recording::{FrameFiles, Recording};
 use super::settings::CameraConfig;
 use super::time_list::{ListForm, TimeList};
-use super::trajectory::match_tum_poses;
+use super::trajectory::{match_tum_poses, stated_axes};
 use super::undistortion::Undistortion;
 use crate::error::{Error, Place, Result};
 use crate::files::read_text;
-use crate::geometry::{Lens, OWN_INTRINSICS, Pinhole, Pose};
+use crate::geometry::{ErrorFrame, Lens, OWN_INTRINSICS, Pinhole, Pose};
 use crate::time::{EXPECTED_SECONDS, Time};
 
 /// Steps of a metre in its depth maps.
@@ -68,6 +68,7 @@ pub fn load_tum_rgbd(
     let colour = TimeList::load(&colour_file, &LIST)?;
     let mut remarks: Vec<String> = colour.absent("images").into_iter().collect();
     let (images, times) = (colour.frames()?, colour.times());
+    require_colour(&images)?;
     let size = size_of_first(images.values())?;
     let lens = lens_of(name, camera, usual_camera, size)?;
     let (rectified, undistortion) = Undistortion::of(&lens).ok_or_else(|| no_rectified(name))?;
@@ -76,6 +77,7 @@ pub fn load_tum_rgbd(
     let depth = match depth_file.is_file() {
         true => {
             let list = TimeList::load(&depth_file, &LIST)?;
+            list.require_others(&colour)?;
             list.nearest_to(&times, LARGEST_DISTANCE_S, "depth maps", &mut remarks)?
         }
         false => {
@@ -85,7 +87,12 @@ pub fn load_tum_rgbd(
     };
     let poses = match truth_file.is_file() {
         true => {
-            let truth = match_tum_poses(&read_text(&truth_file)?, &truth_file, &times, LARGEST_DISTANCE_S)?;
+            let text = read_text(&truth_file)?;
+            if let Some(axes) = stated_axes(&text).filter(|axes| *axes != ErrorFrame::Camera) {
+                let found = format!("poses in axes `{}`", axes.name());
+                return Err(Error::malformed(&truth_file, Place::Line(1), found, "those of the colour camera"));
+            }
+            let truth = match_tum_poses(&text, &truth_file, &times, LARGEST_DISTANCE_S)?;
             remarks.extend(truth.remark);
             truth.poses
         }
@@ -106,6 +113,17 @@ pub fn load_tum_rgbd(
         sources: vec![colour_file, depth_file, truth_file],
         ..Recording::new(Layout::TumRgbd, name, calibration)
     })
+}
+
+/// That images are none of 16 bits of grey, as depth maps are.
+fn require_colour(images: &FrameFiles) -> Result<()> {
+    match images.values().find(|path| is_grey_16(path)) {
+        None => Ok(()),
+        Some(path) => {
+            let expected = "a colour image; are depth maps listed in rgb.txt?";
+            Err(Error::malformed(path, Place::Whole, "16-bit grey pixels", expected))
+        }
+    }
 }
 
 /// The benchmark's camera of a recording, where a word of its name says it.
@@ -130,7 +148,8 @@ fn lens_of(
     usual_camera: Option<&CameraConfig>,
     [width, height]: [usize; 2],
 ) -> Result<Lens> {
-    let refuse = |problem: String| Err(Error::config("data.camera", problem));
+    let key = if camera.is_some() { "camera" } else { "data.camera" };
+    let refuse = |problem: String| Err(Error::config(key, problem));
     let beside = format!("{{ drive = \"{name}\", camera = {{ … }} }}");
     let lens = match (camera, known_lens(name), usual_camera) {
         (Some(camera), ..) => camera.lens(),
@@ -149,14 +168,19 @@ fn lens_of(
     };
     let camera = lens.camera;
     if [camera.width, camera.height] != [width, height] {
+        let remedy = if key == "camera" {
+            "give the intrinsics of these images".to_owned()
+        } else {
+            format!("give its own: {beside}")
+        };
         return refuse(format!(
-            "is of images of {}x{} pixels, and those of `{name}` have {width}x{height}; give its own, {beside}",
+            "is of images of {}x{} pixels, and the first of `{name}` has {width}x{height}; {remedy}",
             camera.width, camera.height
         ));
     }
     camera
         .require_centre()
-        .map_err(|found| Error::config("data.camera", format!("`{name}`: {found}; expected {OWN_INTRINSICS}")))?;
+        .map_err(|found| Error::config(key, format!("`{name}`: {found}; expected {OWN_INTRINSICS}")))?;
     Ok(lens)
 }
 

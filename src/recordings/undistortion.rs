@@ -10,6 +10,8 @@ use crate::geometry::{Lens, Pinhole};
 /// Parts of a pixel that places are rounded to: 2¹³, so that three channels of 8 bits weighted by it fit a `u64`.
 const PART_BITS: u32 = 13;
 const PARTS: u64 = 1 << PART_BITS;
+/// Undistorted images are not farther from distorted ones than by this factor in focal length.
+const LARGEST_ZOOM: f64 = 3.0;
 /// Bits of one channel in [`spread`].
 const LANE_BITS: u32 = u8::BITS + PART_BITS;
 /// Half a level in each of the three lanes.
@@ -46,10 +48,12 @@ struct Place {
 
 impl Undistortion {
     /// The camera of a lens's undistorted images, and what takes the distortion out of them, where there is one. `None` if
-    /// the lens folds over within the image.
+    /// the lens folds over within the image, or bends it so much that no lens does.
     pub(super) fn of(lens: &Lens) -> Option<(Pinhole, Option<Arc<Self>>)> {
         let rectified = lens.rectified()?;
-        Some((rectified, Self::to(lens, rectified)))
+        let zoom = [rectified.fx / lens.camera.fx, rectified.fy / lens.camera.fy];
+        let is_mild = zoom.iter().all(|zoom| (1.0 / LARGEST_ZOOM..=LARGEST_ZOOM).contains(zoom));
+        is_mild.then(|| (rectified, Self::to(lens, rectified)))
     }
 
     /// What takes a lens's images to those of a camera, where they are not those already.

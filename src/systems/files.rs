@@ -4,24 +4,17 @@ use std::path::{Path, PathBuf};
 
 use super::frames::{Joined, frames_of_rows};
 use super::sequences::odometry_sequence;
-use super::settings::{SystemConfig, SystemSource, TrajectoryConfig, TrajectoryFormat};
+use super::settings::{SystemConfig, SystemSource, TrajectoryConfig, TrajectoryFormat, TruthConfig};
 use crate::error::{Error, Place, Result};
-use crate::files::{fill_template, read_text, remarks};
+use crate::files::{fill_template, read_text};
 use crate::geometry::ErrorFrame;
 use crate::recordings::{
     KittiPoses, LARGEST_DISTANCE_S, Layout, MeasurementFrame, Recording, Trajectory, parse_kitti_poses,
-    parse_tum_trajectory,
+    parse_tum_trajectory, stated_axes,
 };
 
 /// The number of a drive's odometry sequence, in templates of paths.
 const SEQUENCE: &str = "{sequence}";
-
-/// The axes that the first line of a TUM trajectory states which relcov wrote: `…, axes: vehicle`.
-fn stated_axes(text: &str) -> Option<ErrorFrame> {
-    let (_, remark) = remarks(text).next()?;
-    let (_, axes) = remark.split_once("axes: ")?;
-    ErrorFrame::of(axes.split(|c: char| !c.is_alphabetic()).next()?)
-}
 
 /// That a file which states its axes is read in them.
 pub(super) fn require_axes(stated: Option<ErrorFrame>, frame: MeasurementFrame, path: &Path) -> Result<()> {
@@ -86,6 +79,11 @@ pub(crate) fn measurement_file(system: &SystemConfig, drive: &Recording, root: &
         SystemSource::Relative(config) => Some(expand(&config.path, drive, root)),
         _ => None,
     }
+}
+
+/// The file of a drive's true poses, where they have one of their own.
+pub(crate) fn truth_file(truth: &TruthConfig, drive: &Recording, root: &Path) -> Option<PathBuf> {
+    if let TruthConfig::Trajectory(config) = truth { Some(expand(&config.path, drive, root)) } else { None }
 }
 
 /// A template's path for a drive.

@@ -17,7 +17,7 @@ mod settings;
 mod truth;
 
 pub use chain::chain_poses;
-pub(crate) use files::measurement_file;
+pub(crate) use files::{measurement_file, truth_file};
 pub(crate) use frames::{Joined, frames_of_rows};
 
 pub use measurements::{Measurements, load_measurements};

@@ -6,7 +6,7 @@ use predicates::prelude::PredicateBooleanExt;
 use predicates::str::contains;
 use relcov::pairs::Dataset;
 
-use crate::layouts::Drives;
+use crate::drives::Drives;
 
 /// Changes a text file of a recording.
 fn edit(path: &Path, change: impl FnOnce(String) -> String) {
@@ -17,7 +17,90 @@ fn edit(path: &Path, change: impl FnOnce(String) -> String) {
 #[test]
 fn what_is_wrong_with_a_recording_is_named() {
     type Break = fn(&Path);
-    let cases: [(&str, &str, Break, &[&str]); 18] = [
+    let cases: [(&str, &str, Break, &[&str]); 29] = [
+        (
+            "tum_rgbd",
+            "an image twice",
+            |at| {
+                edit(&at.join("tum/desk/rgb.txt"), |text| {
+                    text.replace("rgb/1300000000.066667.png", "rgb/1300000000.033333.png")
+                })
+            },
+            &["rgb.txt, line 5: found `rgb/1300000000.033333.png` again; expected each file once"],
+        ),
+        (
+            "tum_rgbd",
+            "lists swapped",
+            |at| {
+                for (from, to) in [("rgb.txt", "x"), ("depth.txt", "rgb.txt"), ("x", "depth.txt")] {
+                    std::fs::rename(at.join("tum/desk").join(from), at.join("tum/desk").join(to)).unwrap();
+                }
+            },
+            &["found 16-bit grey pixels; expected a colour image; are depth maps listed in rgb.txt?"],
+        ),
+        (
+            "tum_rgbd",
+            "one list for both",
+            |at| {
+                std::fs::copy(at.join("tum/desk/rgb.txt"), at.join("tum/desk/depth.txt")).unwrap();
+            },
+            &["depth.txt: found ", "rgb/1300000000.000000.png; expected files that ", "rgb.txt does not list"],
+        ),
+        (
+            "tum_rgbd",
+            "columns of other names",
+            |at| edit(&at.join("tum/desk/groundtruth.txt"), |text| "# t x y z q_W q_X q_Y q_Z\n".to_owned() + &text),
+            &["groundtruth.txt, line 1", "w the last"],
+        ),
+        (
+            "tum_rgbd",
+            "poses of the vehicle",
+            |at| {
+                edit(&at.join("tum/desk/groundtruth.txt"), |text| {
+                    "# t x y z qx qy qz qw, axes: vehicle\n".to_owned() + &text
+                })
+            },
+            &["groundtruth.txt, line 1: found poses in axes `vehicle`; expected those of the colour camera"],
+        ),
+        (
+            "tum_rgbd",
+            "a known camera",
+            |at| std::fs::rename(at.join("tum/desk"), at.join("tum/fr1_desk")).unwrap(),
+            &["`data.camera`: is another than that of the TUM benchmark which the name of `fr1_desk` says"],
+        ),
+        (
+            "tum_rgbd",
+            "no camera",
+            |at| std::fs::rename(at.join("tum/desk"), at.join("tum/my_fr1ends")).unwrap(),
+            &["`data.camera`: nothing tells the camera of `my_fr1ends`, whose name has no word fr1"],
+        ),
+        (
+            "tum_rgbd",
+            "normalised intrinsics",
+            |_| (),
+            &["focal lengths (0.6, 1.2), which see a half space in an image of 96x48"],
+        ),
+        (
+            "kitti_odometry",
+            "images of half the size",
+            |at| {
+                edit(&at.join("odometry/sequences/07/calib.txt"), |text| {
+                    text.replace("60 0 48 -3 0 60 24", "120 0 95.5 -6 0 120 47.5")
+                })
+            },
+            &["calib.txt, field `P2`: found a principal point (95.5, 47.5) far from the middle of the image of 96x48"],
+        ),
+        (
+            "kitti_odometry",
+            "no projection",
+            |at| {
+                edit(&at.join("odometry/sequences/07/calib.txt"), |text| {
+                    text.replace("60 0 48 -3 0 60 24 0 0 0 1 0", "60 0 48 -3 0 60 24 0 0 0 0 1")
+                })
+            },
+            &["calib.txt, field `P2`: found rows (60 0 48), (0 60 24), (0 0 0)", "(0 0 1)"],
+        ),
+        ("kitti_odometry", "ranges that overlap", |_| (), &["`data.test`: 07 frames 8 and 12 are in data.train too"]),
         (
             "tum_rgbd",
             "no list of images",
@@ -79,7 +162,7 @@ fn what_is_wrong_with_a_recording_is_named() {
                     camera.save(entry.unwrap().path()).unwrap();
                 }
             },
-            &["`data.camera`: is of images of 96x48 pixels, and those of `desk` have 32x16"],
+            &["`data.camera`: is of images of 96x48 pixels, and the first of `desk` has 32x16"],
         ),
         (
             "kitti_odometry",
@@ -140,6 +223,24 @@ fn what_is_wrong_with_a_recording_is_named() {
         break_it(drives.folder.path());
         let mut settings = drives.settings(layout);
         match name {
+            "normalised intrinsics" => settings
+                .push("data.camera={ width = 96, height = 48, fx = 0.6, fy = 1.2, cx = 48, cy = 24 }".to_owned()),
+            "a known camera" | "no camera" => {
+                let drive = if name == "no camera" { "my_fr1ends" } else { "fr1_desk" };
+                settings.iter_mut().for_each(|setting| *setting = setting.replace("\"desk\"", &format!("\"{drive}\"")));
+                if name == "no camera" {
+                    settings.retain(|setting| !setting.starts_with("data.camera="));
+                }
+            }
+            "ranges that overlap" => settings.extend(
+                [
+                    "data.gap=4",
+                    "data.train=[{ drive = \"07\", frames = [0, 10] }]",
+                    "data.validation=[]",
+                    "data.test=[{ drive = \"07\", frames = [8, 20] }]",
+                ]
+                .map(str::to_owned),
+            ),
             "packets" => settings.push("truth.source=oxts".to_owned()),
             "a camera" => {
                 settings.push("data.camera={ width = 9, height = 9, fx = 9, fy = 9, cx = 4, cy = 4 }".to_owned())
@@ -189,4 +290,34 @@ fn what_lists_name_and_is_not_there_is_counted() {
         .assert()
         .code(1)
         .stderr(contains("is a recording itself").and(contains("drive = \"desk\"")));
+}
+
+#[test]
+fn results_are_not_written_over_the_data() {
+    let drives = Drives::new();
+    let refused = "would be written over what is read";
+    let settings = drives.settings("tum_rgbd");
+    let truth = [
+        &settings[..],
+        &["truth.source=trajectory", "truth.path={drive}_truth.csv", "truth.format=tum", "truth.frame=camera2"]
+            .map(str::to_owned),
+    ]
+    .concat();
+    std::fs::copy(drives.path("tum/desk/groundtruth.txt"), drives.path("tum/desk_truth.csv")).unwrap();
+    let at = |below: &str| drives.path(below).display().to_string();
+    let image = at("tum/desk/rgb/1300000000.000000.png");
+    drives
+        .run("manifest", &truth)
+        .args(["--out", &at("tum/desk_truth.csv")])
+        .assert()
+        .code(1)
+        .stderr(contains(refused));
+    drives.run("inspect", &settings).args(["--contact-sheet", &image]).assert().code(1).stderr(contains(refused));
+    for table in ["tum/desk/rgb.txt", "tum/desk_vo.txt"] {
+        let table = at(table);
+        let arguments = ["--baselines-only", "--save-table", &table];
+        drives.run("eval", &settings).args(arguments).assert().code(1).stderr(contains(refused));
+    }
+    // They are all as they were.
+    drives.load(&truth);
 }

@@ -5,6 +5,7 @@ mod cli;
 mod corrected_cli;
 mod depth_cli;
 mod devices;
+mod drives;
 mod eval_cli;
 mod evidence;
 mod exports;

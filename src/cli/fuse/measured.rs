@@ -64,6 +64,7 @@ pub(super) fn predicted(arguments: &FuseArguments, split: SplitName, terminal: &
     let mut measured: Option<Measured> = None;
     for (index, (manifest, run)) in runs.iter().enumerate() {
         let mut config = arguments.overrides.load_for_run(arguments.config.as_deref(), run, manifest)?;
+        require_one_step(&config)?;
         // Nobody measured what was generated.
         let is_generated = |system: &SystemConfig| matches!(system.source, SystemSource::Perturbation(_));
         config.systems.retain(|system| {
@@ -95,10 +96,22 @@ pub(super) fn predicted(arguments: &FuseArguments, split: SplitName, terminal: &
     measured.with_context(|| format!("--system {asked}: the configuration has no such system"))
 }
 
+/// That motions follow one another: of several overlapping ones each error would count several times.
+fn require_one_step(config: &Config) -> Result<()> {
+    match config.data.gap.as_slice() {
+        [] | [1] => Ok(()),
+        gaps => {
+            let problem = format!("{gaps:?}: fused motions are those of neighbouring frames; --set data.gap=1");
+            Err(Error::config("data.gap", problem))
+        }
+    }
+}
+
 /// The same with covariances that need no model.
 pub(super) fn without_model(arguments: &FuseArguments, split: SplitName) -> anyhow::Result<Measured> {
     let path = arguments.config.as_deref().expect("clap requires it");
     let config = arguments.overrides.load(path)?;
+    require_one_step(&config)?;
     let (dataset, fitted) = fit_baselines(&config, split)?;
     let table = PairTable::from_split(dataset.require(split)?, &dataset, config.data.error_frame);
     Ok(Measured { config, dataset, table, baselines: fitted, recalibrations: BTreeMap::new() })
