@@ -37,9 +37,11 @@ impl Pinhole {
         if !((0.0..=width as f64).contains(&cx) && (0.0..=height as f64).contains(&cy)) {
             return Err(format!("a principal point ({cx}, {cy}) outside the image of {width}x{height}"));
         }
-        match fx > LEAST_FOCAL_LENGTH * width as f64 && fy > LEAST_FOCAL_LENGTH * height as f64 {
-            true => Ok(()),
-            false => Err(format!("focal lengths ({fx}, {fy}), which see a half space in an image of {width}x{height}")),
+        let is_short = |focal_length: f64, size: usize| focal_length < LEAST_FOCAL_LENGTH * size as f64;
+        // Those that are not positive are told of where they are read.
+        match fx > 0.0 && fy > 0.0 && (is_short(fx, width) || is_short(fy, height)) {
+            false => Ok(()),
+            true => Err(format!("focal lengths ({fx}, {fy}), which see a half space in an image of {width}x{height}")),
         }
     }
 

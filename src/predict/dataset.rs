@@ -89,7 +89,7 @@ fn in_axes(estimate: Estimate, errors_from_vehicle: &Pose, output_from_vehicle: 
 fn axes_from_vehicle(drive: &Recording, frame: ErrorFrame, world_from_vehicle: Option<&Pose>) -> Result<Pose> {
     drive.calibration.axes_from_vehicle(frame, world_from_vehicle).ok_or_else(|| {
         Error::Data(format!(
-            "{}: axes of the world need the vehicle's pose in it (the drive's oxts), which these data do not have; take --frame vehicle or camera",
+            "{}: axes of the world need the vehicle's pose in it (truth.source = \"recording\"), which these data do not have; take --frame vehicle or camera",
             drive.name
         ))
     })

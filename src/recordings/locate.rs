@@ -21,6 +21,17 @@ impl Layout {
         }
     }
 
+    /// The layout itself, where there is a folder for a recording of that name.
+    ///
+    /// # Errors
+    /// There is none.
+    pub(super) fn require_folder(self, root: &Path, name: &str) -> Result<Self> {
+        match self.folder(root, name).is_none_or(|folder| folder.is_dir()) {
+            true => Ok(self),
+            false => Err(nothing_there(root, name)),
+        }
+    }
+
     /// The recording of this layout in a folder.
     fn locate(self, folder: &Path) -> Option<Located> {
         let name = folder.file_name()?.to_str()?.to_owned();

@@ -38,7 +38,10 @@ pub fn open_recording(root: &Path, name: &str, opening: &Opening) -> Result<Reco
         let problem = format!("drive `{name}` cannot name a folder below data.root; use letters, digits, - and _");
         return Err(Error::config("data", problem));
     }
-    let layout = opening.layout.map_or_else(|| layout_of(root, name), Ok)?;
+    let layout = match opening.layout {
+        Some(layout) => layout.require_folder(root, name)?,
+        None => layout_of(root, name)?,
+    };
     if !layout.takes_camera() && (opening.camera.is_some() || opening.usual_camera.is_some()) {
         let problem = format!("{name}: a recording in the layout `{}` brings its own calibration", layout.name());
         return Err(Error::config("data.camera", problem));

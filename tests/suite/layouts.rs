@@ -249,6 +249,21 @@ fn what_comes_through_a_lens_is_what_a_pinhole_camera_would_have_seen() {
 }
 
 #[test]
+fn every_layout_is_inspected_trained_on_and_judged() {
+    let drives = Drives::new();
+    for layout in LAYOUTS {
+        let settings = [drives.settings(layout), vec![format!("name={layout}")]].concat();
+        let said = format!("({layout})\n");
+        drives.run("inspect", &settings).assert().success().stdout(contains(said));
+        drives.run("train", &settings).args(["--quiet", "--device", "flex"]).assert().success();
+        let run = format!("runs/{layout}");
+        let mut eval = relcov();
+        eval.current_dir(drives.folder.path()).args(["eval", "--quiet", "--run", &run, "--device", "flex"]);
+        eval.assert().success().stdout(contains("| vo     | relcov "));
+    }
+}
+
+#[test]
 fn one_model_predicts_the_same_for_a_drive_in_any_layout() {
     let drives = Drives::new();
     drives.run("train", &drives.settings("kitti_raw")).args(["--quiet", "--device", "flex"]).assert().success();
