@@ -174,6 +174,13 @@ impl<'a> Pairing<'a> {
                 "{name} brings depth maps, and depth.source = \"ground_plane\" takes a flat road for depth; set depth.source = \"recording\""
             );
         }
+        let place = |drive: &Recording| drive.images.values().next().and_then(|path| path.canonicalize().ok());
+        if let (Some(own), None) = (place(&drive), &self.manifest)
+            && let Some(twin) = self.drives.iter().find(|twin| place(twin).as_ref() == Some(&own))
+        {
+            let problem = format!("`{name}` is `{}` by another name; name it once", twin.name);
+            return Err(Error::config("data", problem));
+        }
         if let Some(first) = drive.remarks.first() {
             let others = match drive.remarks.len() {
                 1 => String::new(),

@@ -7,6 +7,9 @@ use super::kitti_raw::date_of;
 use super::layout::Layout;
 use crate::error::{Error, Result};
 
+/// Names that a message lists at most.
+const MOST_NAMES: usize = 8;
+
 /// The layouts that are told apart by their folders; a manifest is named by its file.
 const LAYOUTS: [Layout; 4] = [Layout::KittiRaw, Layout::KittiOdometry, Layout::TumRgbd, Layout::Euroc];
 
@@ -136,13 +139,32 @@ fn nothing_there(root: &Path, name: &str) -> Error {
             format!("{root} is a recording itself; set data.root = \"{parent}\" and name it: drive = \"{own}\"");
         return Error::config("data.root", problem);
     }
+    if root.file_name().is_some_and(|own| own == "sequences") && root.join(name).is_dir() {
+        let parent = root.parent().unwrap_or(Path::new("."));
+        let problem = format!(
+            "{} holds the sequences of KITTI odometry; set data.root = \"{}\"",
+            root.display(),
+            parent.display()
+        );
+        return Error::config("data.root", problem);
+    }
     let looked: Vec<String> = LAYOUTS
         .into_iter()
         .filter_map(|layout| Some(format!("{} ({})", layout.folder(root, name)?.display(), layout.name())))
         .collect();
     Error::Data(format!(
-        "{name}: no such drive below data.root = {} (set data.root or {DATA_ROOT_VARIABLE}); looked for {}",
+        "{name}: no such drive below data.root = {} (set data.root or {DATA_ROOT_VARIABLE}); looked for {}{}",
         root.display(),
-        looked.join(", ")
+        looked.join(", "),
+        sequences_below(root)
     ))
+}
+
+/// What sequences of KITTI odometry there are: `3` is none where `03` is.
+fn sequences_below(root: &Path) -> String {
+    let entries = std::fs::read_dir(root.join("sequences")).into_iter().flatten().flatten();
+    let mut names: Vec<String> = entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
+    names.sort_unstable();
+    names.truncate(MOST_NAMES);
+    if names.is_empty() { String::new() } else { format!("; sequences holds {}", names.join(", ")) }
 }

@@ -58,6 +58,9 @@ pub(crate) fn parse_kitti_poses(text: &str, path: &Path) -> Result<KittiPoses> {
                 match columns {
                     Some(12) => "12 as in the rows before (a 3x4 pose)",
                     Some(13) => "13 as in the rows before (a frame index and a 3x4 pose)",
+                    _ if values.len() == 8 => {
+                        "12 (a 3x4 pose), or 13 with a leading frame index; rows of 8 are TUM's, format = \"tum\""
+                    }
                     _ => "12 (a 3x4 pose), or 13 with a leading frame index",
                 },
             ));

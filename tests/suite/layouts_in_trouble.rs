@@ -1,4 +1,5 @@
 //! What is wrong with a recording of any layout: named with file and line, counted, never guessed.
+#![cfg(unix)]
 
 use std::path::Path;
 
@@ -17,7 +18,7 @@ fn edit(path: &Path, change: impl FnOnce(String) -> String) {
 #[test]
 fn what_is_wrong_with_a_recording_is_named() {
     type Break = fn(&Path);
-    let cases: [(&str, &str, Break, &[&str]); 29] = [
+    let cases: [(&str, &str, Break, &[&str]); 32] = [
         (
             "tum_rgbd",
             "an image twice",
@@ -99,6 +100,22 @@ fn what_is_wrong_with_a_recording_is_named() {
                 })
             },
             &["calib.txt, field `P2`: found rows (60 0 48), (0 60 24), (0 0 0)", "(0 0 1)"],
+        ),
+        ("kitti_odometry", "a short name", |_| (), &["7: no such drive below data.root", "; sequences holds 07"]),
+        (
+            "kitti_odometry",
+            "the folder of sequences",
+            |_| (),
+            &["`data.root`", "holds the sequences of KITTI odometry"],
+        ),
+        (
+            "kitti_odometry",
+            "a second name",
+            |at| {
+                let sequences = at.join("odometry/sequences");
+                std::os::unix::fs::symlink(sequences.join("07"), sequences.join("08")).unwrap();
+            },
+            &["`data`: `08` is `07` by another name; name it once"],
         ),
         ("kitti_odometry", "ranges that overlap", |_| (), &["`data.test`: 07 frames 8 and 12 are in data.train too"]),
         (
@@ -232,6 +249,11 @@ fn what_is_wrong_with_a_recording_is_named() {
                     settings.retain(|setting| !setting.starts_with("data.camera="));
                 }
             }
+            "a short name" => settings.iter_mut().for_each(|setting| *setting = setting.replace("\"07\"", "\"7\"")),
+            "the folder of sequences" => {
+                settings[0] = format!("data.root={:?}", drives.path("odometry/sequences").display().to_string());
+            }
+            "a second name" => settings.push("data.test=[{ drive = \"08\" }]".to_owned()),
             "ranges that overlap" => settings.extend(
                 [
                     "data.gap=4",
