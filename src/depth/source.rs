@@ -14,7 +14,10 @@ pub fn has_depth(config: &DepthConfig, drive: &Recording, frame: usize, root: &P
         DepthConfig::GroundPlane { .. } => true,
         DepthConfig::Lidar { .. } => drive.scans.contains_key(&frame),
         DepthConfig::Files { path } => files::depth_path(path, drive, frame, root).is_file(),
-        DepthConfig::Recording {} => drive.depth.get(&frame).is_some_and(|path| path.is_file()),
+        // What a recording has was looked for when it was opened; what a manifest lists was not.
+        DepthConfig::Recording {} => {
+            drive.depth.get(&frame).is_some_and(|path| drive.listed.is_none() || path.is_file())
+        }
         DepthConfig::Monodepth2(config) => DepthCache::of(config).map_path(drive, frame).is_file(),
     }
 }
