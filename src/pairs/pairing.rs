@@ -215,7 +215,7 @@ impl<'a> Pairing<'a> {
             .iter()
             .map(|system| load_measurements(system, &drive, root, &truth, &self.config.data.gap))
             .collect::<Result<_>>()?;
-        tracing::debug!("{name}: {} packets, {} images", drive.poses.len(), drive.images.len());
+        tracing::debug!("{name}: {} poses, {} images", drive.poses.len(), drive.images.len());
         self.drives.push(drive);
         self.cameras.push(camera.cloned());
         self.sources.push((truth, systems));

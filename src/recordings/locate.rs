@@ -101,7 +101,7 @@ pub(crate) fn locate_recording(folder: &Path) -> Result<Located> {
         }
     }
     Err(Error::Data(format!(
-        "{}: no recording; expected ROOT/DATE/DRIVE of KITTI raw, such as kitti/2011_09_30/2011_09_30_drive_0034_sync, ROOT/sequences/NN of KITTI odometry, or a folder with rgb.txt (TUM RGB-D)",
+        "{}: no recording; expected ROOT/DATE/DRIVE of KITTI raw, such as kitti/2011_09_30/2011_09_30_drive_0034_sync, ROOT/sequences/NN of KITTI odometry, or a folder with rgb.txt (TUM RGB-D) or mav0 (EuRoC)",
         folder.display()
     )))
 }

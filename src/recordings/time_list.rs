@@ -36,7 +36,7 @@ pub(super) struct TimeList {
     /// In order of time.
     files: Vec<TimedFile>,
     path: PathBuf,
-    /// Line of the first that is not.
+    /// Line of the first that is not there.
     first_absent: Option<usize>,
 }
 

@@ -35,8 +35,8 @@ const LIST: ListForm = ListForm {
     folder: "",
 };
 
-/// The colour cameras of the benchmark (Sturm et al. 2012, "Intrinsic camera calibration of the Kinect") by what names of
-/// their recordings contain: fx fy cx cy, and k1 k2 p1 p2 k3.
+/// The colour cameras of the benchmark (Sturm et al. 2012, "Intrinsic camera calibration of the Kinect") by a word
+/// of their recordings' names: fx fy cx cy, and k1 k2 p1 p2 k3.
 const KNOWN: [([&str; 2], [f64; 4], [f64; 5]); 3] = [
     (["freiburg1", "fr1"], [517.3, 516.5, 318.6, 255.3], [0.2624, -0.9531, -0.0054, 0.0026, 1.1633]),
     (["freiburg2", "fr2"], [520.9, 521.0, 325.1, 249.7], [0.2312, -0.7849, -0.0033, -0.0001, 0.9172]),
@@ -48,8 +48,8 @@ const KNOWN_SIZE: [usize; 2] = [640, 480];
 /// Reads the recording in a folder.
 ///
 /// `camera`: its colour camera; `None`: the known one, else `usual_camera`, and both are refused where they differ.
-/// `camera_from_vehicle`: vehicle axes into those of the colour
-/// camera; `None`: the vehicle is where the camera is, x forward, y left, z up.
+/// `camera_from_vehicle`: vehicle axes into those of the colour camera; `None`: the vehicle is where the camera is, x
+/// forward, y left, z up.
 ///
 /// # Errors
 /// `rgb.txt` is missing, not one of its images is there, or nothing tells the camera; or a list or the truth is malformed
